@@ -17,7 +17,7 @@ use crate::order::Order;
 use crate::order::SumsWanted;
 use crate::point::Point;
 use crate::problem::Problem;
-use crate::structure::Assumed;
+use crate::structure::OwnedStructure;
 use crate::sums::Sums;
 use crate::{Criterion, FinalState, Structure};
 use kalfit_algebra::symmetric;
@@ -39,7 +39,7 @@ pub struct Reevaluation {
 pub struct UpcomingPoint {
     problem: Problem,
     point: Point,
-    assumed: Assumed,
+    assumed: OwnedStructure,
 }
 
 impl FinalState {
@@ -64,28 +64,28 @@ impl FinalState {
         reductions: &Reductions,
         alpha: &Alpha,
     ) -> Result<Option<Reevaluation>, StructureError> {
-        let home = (&*self.problem, &self.newton_iterate.point, self.newton_iterate.near());
-        Reevaluation::of(home, &self.evidence(reductions), &self.assumed.at(alpha))
+        let origin = (&*self.problem, &self.newton_iterate.point, self.newton_iterate.near());
+        Reevaluation::of(origin, &self.evidence(reductions), &self.assumed.at(alpha))
     }
 
     /// The point that a step along the tangent basis of this state leads to, for remote tests whose sums there are not
     /// requested yet.
-    pub fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
+    pub fn upcoming_point(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
         let point = newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?;
-        let (problem, point) = self.carried_to(reductions, &self.assumed.at(alpha), point).ok()?;
-        let point = charted(&problem, &point);
+        let (problem, point) = self.converted_to(reductions, &self.assumed.at(alpha), point).ok()?;
+        let point = in_chart(&problem, &point);
         Some(UpcomingPoint { problem, point, assumed: self.assumed.clone() })
     }
 
     /// A point of this problem, converted to the problem of other reductions of the same tests.
-    fn carried_to(
+    fn converted_to(
         &self,
         reductions: &Reductions,
         structure: &Structure<'_>,
         point: Point,
     ) -> Result<(Problem, Point), StructureError> {
         let problem = Problem::within(&self.evidence(reductions), structure, &self.problem)?;
-        let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
+        let root = converted_root(&self.problem.covariance, &problem.covariance, &point.root);
         Ok((problem, Point { root, ..point }))
     }
 
@@ -98,10 +98,10 @@ impl FinalState {
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
     pub fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<FinalState> {
         let structure = self.assumed.at(alpha);
-        let (problem, point) = self.carried_to(reductions, &structure, point).ok()?;
-        let charted = charted(&problem, &point);
-        problem.ends_soon(true); // no further point is evaluated
-        let place = problem.with_score(&charted, || {
+        let (problem, point) = self.converted_to(reductions, &structure, point).ok()?;
+        let in_chart = in_chart(&problem, &point);
+        problem.set_near_end(true); // no further point is evaluated
+        let place = problem.with_score(&in_chart, || {
             NewtonIterate::new(&problem, &problem.covariance, point, self.newton_iterate.near())
         })?;
         // the restricted likelihood's second derivatives need the covariance of the mean at the point itself
@@ -109,7 +109,7 @@ impl FinalState {
             Some(own) => NewtonIterate::new(&problem, &problem.covariance, place.point, Some(&own))?,
             None => place,
         };
-        problem.ends_soon(false);
+        problem.set_near_end(false);
         let sums = match problem.criterion() {
             Criterion::Ml => problem.at_end(&place)?,
             Criterion::Reml => problem.sums(&place.point, Order::Expected, place.near())?,
@@ -170,8 +170,8 @@ impl UpcomingPoint {
     }
 
     /// Requests the number of tests and the number that inform each state, which a fit reports at its end.
-    pub fn ask_counts(&self) {
-        _ = self.problem.told_counts();
+    pub fn request_counts(&self) {
+        _ = self.problem.remote_counts();
         self.problem.classes.remote.iter().for_each(|remote| _ = remote.ask(Question::Survey));
     }
 }
@@ -183,7 +183,7 @@ impl Reevaluation {
         structure: &Structure<'_>,
     ) -> Result<Option<Reevaluation>, StructureError> {
         let own = Problem::within(reductions, structure, problem)?;
-        let root = carried(&problem.covariance, &own.covariance, &point.root);
+        let root = converted_root(&problem.covariance, &own.covariance, &point.root);
         let point = Point { root, ..point.clone() };
         let sums = own.with_score(&point, || own.sums(&point, Order::First, near));
         Ok(sums.map(|sums| Reevaluation { problem: own, point, sums }))
@@ -199,8 +199,8 @@ impl Reevaluation {
     }
 
     /// The gradient along the tangent basis of the state that the point was taken from.
-    pub fn gradient(&self, home: &FinalState) -> DVector<f64> {
-        home.along(&self.sums, &self.problem, &self.point)
+    pub fn gradient(&self, origin: &FinalState) -> DVector<f64> {
+        origin.along(&self.sums, &self.problem, &self.point)
     }
 
     /// The distribution of ξ_j at the point.
@@ -220,17 +220,17 @@ impl Reevaluation {
 }
 
 /// The point with its root in the form that its chart gives, as in a Newton iterate.
-fn charted(problem: &Problem, point: &Point) -> Point {
+fn in_chart(problem: &Problem, point: &Point) -> Point {
     Point { root: problem.covariance.chart(&point.root).root, ..point.clone() }
 }
 
 /// The root with the same coordinates ψ where matrices of the structure depend on α.
-fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
+fn converted_root(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
     let parts = from.parts.iter().zip(&to.parts);
-    to.assembled(parts.map(|(old, new)| carried_part(&old.form, &new.form, old.of(root))))
+    to.assembled(parts.map(|(old, new)| converted_part(&old.form, &new.form, old.of(root))))
 }
 
-fn carried_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>) -> DMatrix<f64> {
+fn converted_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>) -> DMatrix<f64> {
     match (from, to) {
         (CoordinateForm::Scale(old), CoordinateForm::Scale(new)) => {
             let star = old.norm_squared();
@@ -268,7 +268,7 @@ impl Problem {
 
     /// Numbers of remote tests that inform and that observe each state, as if there were no groups; `None` where there is
     /// no answer, or no remote test.
-    pub fn told_counts(&self) -> Option<Vec<f64>> {
+    pub fn remote_counts(&self) -> Option<Vec<f64>> {
         let remote = self.classes.remote.as_ref()?;
         remote.ask(Question::Observability { frame: self.classes.apart().frame })
     }

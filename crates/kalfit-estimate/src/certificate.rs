@@ -14,23 +14,23 @@ use crate::relaxed::{relax, undetermined};
 use kalfit_algebra::symmetric;
 
 /// Rounding errors above this many standard errors are reported.
-const NOTABLE: f64 = 1e-6;
+const REPORTED_ROUNDING: f64 = 1e-6;
 /// Rounding errors above this many standard errors withhold the certificate.
-const IMPRECISE: f64 = 1e-3;
+const MAX_ROUNDING: f64 = 1e-3;
 
 /// Null-space scores below this many standard errors count as zero.
 const NULL_TOLERANCE: f64 = 1e-5;
 
 /// Eigenvalues of Σ (in natural sizes) below this count as zero: so near the boundary, the score in L no longer
 /// indicates a direction inward.
-const NEAR_NULL: f64 = 1e-10;
+const NULL_EIGENVALUE: f64 = 1e-10;
 
 /// Standard deviations (in η) below this count as zero.
-const NO_STD_DEV: f64 = 1e-9;
+const ZERO_STD_DEV: f64 = 1e-9;
 
 /// Where two standard deviations leave zero together, the smaller is at least this fraction of the larger, in natural
 /// units.
-const LEAST_PART: f64 = 1e-3;
+const MIN_STD_DEV_RATIO: f64 = 1e-3;
 
 /// Deviations from the conditions of a maximum, in standard errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,13 +56,13 @@ impl Certificate {
 
     /// Whether rounding errors are below a thousandth of a standard error.
     pub fn is_precise(&self) -> bool {
-        self.rounding <= IMPRECISE
+        self.rounding <= MAX_ROUNDING
     }
 
     /// Whether rounding errors exceed the scores that a search ends with, so that they limit how well the optimum is
     /// known.
     pub fn is_limited_by_rounding(&self) -> bool {
-        self.rounding > NOTABLE
+        self.rounding > REPORTED_ROUNDING
     }
 
     /// A bound on the distance to the optimum, in standard errors.
@@ -155,7 +155,7 @@ fn part_escape(map: &CovarianceMap, part: &PhaseForm, place: &NewtonIterate, tes
 fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tests: f64) -> Option<Escape> {
     let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
     let sigma = place.point.covariance();
-    let is_zero = |i: usize| sigma[(i, i)].sqrt() <= NO_STD_DEV;
+    let is_zero = |i: usize| sigma[(i, i)].sqrt() <= ZERO_STD_DEV;
     let others = |i: usize| states.iter().filter(move |&&j| !is_zero(j)).map(move |&j| (i, j));
     let slope = |i: usize| others(i).map(|(i, j)| residual[(i, j)] * r[(i, j)] * sigma[(j, j)].sqrt()).sum::<f64>();
     let zero: Vec<usize> = states.iter().copied().filter(|&i| is_zero(i) && slope(i) >= 0.0).collect();
@@ -174,7 +174,7 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
     let both = pairs.map(|(i, j)| {
         let (a, b) = (loss(i), loss(j));
         let (u, v) = if a.max(b) > 0.0 { (b / a.max(b), a / a.max(b)) } else { (1.0, 1.0) };
-        grown(&[(i, u.max(LEAST_PART) * unit(i)), (j, v.max(LEAST_PART) * unit(j))])
+        grown(&[(i, u.max(MIN_STD_DEV_RATIO) * unit(i)), (j, v.max(MIN_STD_DEV_RATIO) * unit(j))])
     });
     singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
@@ -219,7 +219,7 @@ fn null_spaces(blocks: &[Vec<usize>], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> 
         let size = |i: usize| sizes[block[i]];
         let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)] / size(i));
         let (values, vectors) = symmetric::eigen(&(&own * own.transpose()));
-        let floor = values.last().copied().unwrap_or(0.0).max(1.0) * NEAR_NULL;
+        let floor = values.last().copied().unwrap_or(0.0).max(1.0) * NULL_EIGENVALUE;
         let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
         DMatrix::from_fn(block.len(), null.len(), |i, c| size(i) * vectors[(i, null[c])])
     };

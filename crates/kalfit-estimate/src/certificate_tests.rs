@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::certificate::{Certificate, certificate};
-use super::climb::{ClimbLimits, climb, escaped};
+use super::climb::{ClimbLimits, climb, step_off_boundary};
 use super::{NewtonIterate, Point, Problem, Settings, Stop, Structure};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Path;
@@ -116,19 +116,19 @@ impl Case {
         (score * direction).trace() / (0.5 * spread.trace() / TESTS as f64).sqrt()
     }
 
-    fn spot(&self, covariance: &CovarianceStructure) -> Spot {
-        Spot::new(&self.data(), covariance, self.mean().as_slice(), &self.root())
+    fn candidate(&self, covariance: &CovarianceStructure) -> Candidate {
+        Candidate::new(&self.data(), covariance, self.mean().as_slice(), &self.root())
     }
 }
 
 /// A problem and an iterate to be certified.
-struct Spot {
+struct Candidate {
     problem: Problem,
-    place: NewtonIterate,
+    iterate: NewtonIterate,
 }
 
-impl Spot {
-    fn new(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], root: &DMatrix<f64>) -> Spot {
+impl Candidate {
+    fn new(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], root: &DMatrix<f64>) -> Candidate {
         let (free, alpha) = (MeanStructure::free(mean.len()), Alpha::default());
         let structure = Structure::single(&free, covariance, &alpha);
         let problem = super::problem(data, &structure, &Settings::default()).expect("a legal problem");
@@ -138,28 +138,28 @@ impl Spot {
             coefficients: Vec::new(),
             root: DMatrix::from_fn(mean.len(), mean.len(), |i, c| root[(i, c)] / frame.scale[i]),
         };
-        let place = NewtonIterate::new(&problem, &problem.covariance, point, None).expect("a finite place");
-        Spot { problem, place }
+        let iterate = NewtonIterate::new(&problem, &problem.covariance, point, None).expect("a finite place");
+        Candidate { problem, iterate }
     }
 
     /// The iterate at a Σ of the structure, with a root in the form of the structure.
-    fn of_members(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], sigma: &DMatrix<f64>) -> Spot {
-        let spot = Spot::new(data, covariance, mean, &DMatrix::zeros(mean.len(), mean.len()));
-        let map = &spot.problem.covariance;
-        let root = map.root_of(&spot.problem.classes.frame.covariance_in(sigma));
-        let place =
-            NewtonIterate::new(&spot.problem, map, Point { root, ..spot.place.point }, None).expect("a finite place");
-        Spot { place, problem: spot.problem }
+    fn of_members(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], sigma: &DMatrix<f64>) -> Candidate {
+        let candidate = Candidate::new(data, covariance, mean, &DMatrix::zeros(mean.len(), mean.len()));
+        let map = &candidate.problem.covariance;
+        let root = map.root_of(&candidate.problem.classes.frame.covariance_in(sigma));
+        let iterate =
+            NewtonIterate::new(&candidate.problem, map, Point { root, ..candidate.iterate.point }, None).expect("a finite place");
+        Candidate { iterate, problem: candidate.problem }
     }
 
     fn certificate(&self) -> Certificate {
-        certificate(&self.problem.covariance, &self.place, TESTS as f64).0
+        certificate(&self.problem.covariance, &self.iterate, TESTS as f64).0
     }
 
     /// Gain in ℓ of a probe off the boundary, if one is found.
     fn probe(&self) -> Option<f64> {
-        let next = escaped(&self.problem, &self.problem.covariance, TESTS as f64, &mut self.place.clone())?;
-        Some(next.local.value - self.place.local.value)
+        let next = step_off_boundary(&self.problem, &self.problem.covariance, TESTS as f64, &mut self.iterate.clone())?;
+        Some(next.local.value - self.iterate.local.value)
     }
 
     /// The certificate holds at the tolerance, and no direction upwards is found.
@@ -220,13 +220,13 @@ fn turned_about_first(angle: f64) -> DMatrix<f64> {
 fn a_mean_off_the_optimum_is_refused() {
     for (range, off) in [(vec![0.7], vec![-0.3, -0.2]), (vec![0.7, 2.0], vec![-0.4]), (vec![1.1, 0.5, 3.0], vec![])] {
         let case = Case::new(design(3), &range, &off);
-        case.spot(&full()).is_accepted("the optimum");
+        case.candidate(&full()).is_accepted("the optimum");
         let (_, weight) = case.dense();
         for i in 0..3 {
             let far = 1e-5;
             let mut mean = case.mean();
             mean[i] += far / weight[(i, i)].sqrt();
-            let found = Spot::new(&case.data(), &full(), mean.as_slice(), &case.root()).certificate();
+            let found = Candidate::new(&case.data(), &full(), mean.as_slice(), &case.root()).certificate();
             let what = format!("mean {i} off by {far:e} standard errors, rank {}: {found:?}", range.len());
             assert!((found.mean - far).abs() < 1e-4 * far, "{what}");
             assert!(found.covariance < 1e-3 * far, "{what}");
@@ -246,7 +246,7 @@ fn a_covariance_off_along_its_range_is_refused() {
             let far = step * lambda / ((1.0 + lambda) * (2.0 / TESTS as f64).sqrt());
             let mut moved = Case { moment: case.moment.clone(), factor: design(3), spread: case.spread.clone() };
             moved.spread.column_mut(k).scale_mut((1.0 + step).sqrt());
-            let found = moved.spot(&full()).certificate();
+            let found = moved.candidate(&full()).certificate();
             let what = format!("λ_{k} off by {far:.3e} standard errors, rank {}: {found:?}", range.len());
             assert!((found.covariance - far).abs() < 1e-3 * far && found.mean < 1e-3 * far, "{what}");
             assert!(!found.holds(TOLERANCE) && !found.holds(0.1 * far) && found.holds(1.1 * far), "{what}");
@@ -254,7 +254,7 @@ fn a_covariance_off_along_its_range_is_refused() {
         // a rotated range
         let mut turned = Case { moment: case.moment.clone(), factor: design(3), spread: case.spread.clone() };
         turned.spread = turned_about_first(1e-4) * &turned.spread;
-        let found = turned.spot(&full()).certificate();
+        let found = turned.candidate(&full()).certificate();
         assert!(found.covariance > 1e-5 && !found.holds(TOLERANCE), "rank {}: {found:?}", range.len());
     }
 }
@@ -263,7 +263,7 @@ fn a_covariance_off_along_its_range_is_refused() {
 fn a_small_variance_is_no_null_direction() {
     let mut case = Case::new(DMatrix::identity(2, 2), &[1.0, 1e-3], &[]);
     case.moment = &case.moment * 1.5; // ℓ rises with both
-    let found = case.spot(&full()).certificate();
+    let found = case.candidate(&full()).certificate();
     assert_eq!(found.null_space, 0.0, "Σ has no null space: {found:?}");
     assert!(found.covariance > 0.1, "{found:?}");
 }
@@ -281,12 +281,12 @@ fn a_positive_score_on_a_slanted_null_space_is_refused() {
                 let (free, size) = ((p - range.len()) as f64, m * (TESTS as f64 / 2.0).sqrt());
                 let what = format!("G = {m} off the range, rank {} of {p}", range.len());
                 let least = if range.is_empty() { size } else { 0.75 * size };
-                of(m).spot(&full()).is_refused_between(least * (1.0 - 1e-7), size * free.sqrt() * (1.0 + 1e-7), &what);
-                of(-m).spot(&full()).is_accepted("a negative score there");
+                of(m).candidate(&full()).is_refused_between(least * (1.0 - 1e-7), size * free.sqrt() * (1.0 + 1e-7), &what);
+                of(-m).candidate(&full()).is_accepted("a negative score there");
             }
         }
         // positive in one of two directions
-        let mixed = Case::new(design(3), &[0.7], &[-0.4, m]).spot(&full()).certificate();
+        let mixed = Case::new(design(3), &[0.7], &[-0.4, m]).candidate(&full()).certificate();
         assert!(mixed.decrement < 1e-7 && mixed.null_space > 0.1 * m && !mixed.holds(1.0), "{mixed:?}");
     }
 }
@@ -297,7 +297,7 @@ fn the_threshold_on_the_null_space_is_a_hundred_thousandth_of_a_standard_error()
         let m = score / (TESTS as f64 / 2.0).sqrt();
         for range in [vec![0.9], vec![]] {
             let p = range.len() + 1;
-            let found = Case::new(DMatrix::identity(p, p), &range, &[m]).spot(&full()).certificate();
+            let found = Case::new(DMatrix::identity(p, p), &range, &[m]).candidate(&full()).certificate();
             assert!(found.decrement < 1e-7, "{found:?}");
             assert!((0.8 * score..1.01 * score).contains(&found.null_space), "{score}: {found:?}");
             assert_eq!(found.holds(1.0), accepted, "{score}: {found:?}");
@@ -309,24 +309,24 @@ fn the_threshold_on_the_null_space_is_a_hundred_thousandth_of_a_standard_error()
 fn a_trap_of_zero_columns_is_left_for_the_maximum() {
     for (range, off) in [(vec![], vec![0.4, 1.3, 0.2]), (vec![0.7], vec![1.3, 0.2]), (vec![0.7, 2.0], vec![0.3])] {
         let case = Case::new(design(3), &range, &off);
-        let spot = case.spot(&full());
-        assert!(spot.place.decrement() < 1e-7, "no gradient in L leads away from here: {}", spot.place.decrement());
+        let candidate = case.candidate(&full());
+        assert!(candidate.iterate.decrement() < 1e-7, "no gradient in L leads away from here: {}", candidate.iterate.decrement());
         let limits = ClimbLimits { tolerance: 1e-8, steps: 60 };
-        let map = &spot.problem.covariance;
-        let (end, stop) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), limits);
+        let map = &candidate.problem.covariance;
+        let (end, stop) = climb(&candidate.problem, map, TESTS as f64, candidate.iterate.clone(), limits);
         assert_eq!(stop, Stop::Certified);
         // C - I is positive definite, so the maximum is at S = C
         let inverse = case.factor.clone().try_inverse().expect("R is invertible");
         let expected = &inverse * (&case.moment - DMatrix::identity(3, 3)) * inverse.transpose();
-        let found = spot.problem.values_of(&end.point).covariance;
+        let found = candidate.problem.values_of(&end.point).covariance;
         assert!((&found - &expected).amax() < 1e-6, "rank {}: {found} {expected}", range.len());
         // one step leaves the trap
-        let (end, _) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), ClimbLimits { steps: 1, ..limits });
-        let gain = end.local.value - spot.place.local.value;
+        let (end, _) = climb(&candidate.problem, map, TESTS as f64, candidate.iterate.clone(), ClimbLimits { steps: 1, ..limits });
+        let gain = end.local.value - candidate.iterate.local.value;
         assert!(gain > 0.1, "rank {}: {gain}", range.len());
         // where no step may follow, the end is not certified
         let none = ClimbLimits { steps: 0, ..limits };
-        assert_eq!(climb(&spot.problem, map, TESTS as f64, spot.place.clone(), none).1, Stop::PassLimit);
+        assert_eq!(climb(&candidate.problem, map, TESTS as f64, candidate.iterate.clone(), none).1, Stop::PassLimit);
     }
 }
 
@@ -341,12 +341,12 @@ fn blocks_are_looked_at_one_by_one() {
             + &other * other.transpose() * (0.1 + second);
         let score = f64::max(first, second) * (TESTS as f64 / 2.0).sqrt();
         let case = Case { moment, ..Case::at_zero(DMatrix::identity(4, 4)) };
-        case.spot(&blocks).is_refused_off_the_range(score, &format!("scores {first} and {second} in two blocks"));
+        case.candidate(&blocks).is_refused_off_the_range(score, &format!("scores {first} and {second} in two blocks"));
     }
     // a covariance between blocks does not concern the blocks
     let between = DMatrix::identity(4, 4) * 0.8 + &(&along + &other) * (&along + &other).transpose() * 0.15;
-    Case::at_zero(between.clone()).spot(&blocks).is_accepted("a covariance between blocks");
-    assert!(!Case::at_zero(between).spot(&full()).certificate().holds(1.0), "in a full Σ it counts");
+    Case::at_zero(between.clone()).candidate(&blocks).is_accepted("a covariance between blocks");
+    assert!(!Case::at_zero(between).candidate(&full()).certificate().holds(1.0), "in a full Σ it counts");
 }
 
 #[test]
@@ -358,8 +358,8 @@ fn a_scale_of_zero_is_refused_where_it_would_grow() {
         let slope = case.slope(&star);
         assert_eq!(slope > 0.0, grows, "{moment:?}: {slope}");
         match grows {
-            true => case.spot(&scaled).is_refused_off_the_range(slope, &format!("β = 0, C = {moment:?}")),
-            false => case.spot(&scaled).is_accepted(&format!("β = 0, C = {moment:?}")),
+            true => case.candidate(&scaled).is_refused_off_the_range(slope, &format!("β = 0, C = {moment:?}")),
+            false => case.candidate(&scaled).is_accepted(&format!("β = 0, C = {moment:?}")),
         }
     }
 }
@@ -370,14 +370,14 @@ fn standard_deviations_of_zero_are_tried_by_themselves_and_in_pairs() {
     let n = (TESTS as f64 / 2.0).sqrt();
     // one alone: u² G_11
     let single = Case::at_zero(symmetric([0.9, 0.0, 1.2]));
-    single.spot(&given(0.6)).is_refused_off_the_range(0.2 * n, "one standard deviation");
-    Case::at_zero(symmetric([0.9, 0.0, 0.8])).spot(&given(0.6)).is_accepted("neither of them");
+    single.candidate(&given(0.6)).is_refused_off_the_range(0.2 * n, "one standard deviation");
+    Case::at_zero(symmetric([0.9, 0.0, 0.8])).candidate(&given(0.6)).is_accepted("neither of them");
     // together: -a u² - b v² + 2 c r u v
     for (a, b, c, grows) in
         [(0.1, 0.1, 0.4, true), (0.1, 0.1, -0.4, false), (0.1, 0.1, 0.1, false), (0.01, 0.64, 0.3, true)]
     {
         let case = Case::at_zero(symmetric([1.0 - a, c, 1.0 - b]));
-        let (found, what) = (case.spot(&given(0.6)), format!("-{a}, -{b} and {c}"));
+        let (found, what) = (case.candidate(&given(0.6)), format!("-{a}, -{b} and {c}"));
         if grows { found.is_refused(&what) } else { found.is_accepted(&what) }
     }
 }
@@ -389,19 +389,19 @@ fn a_standard_deviation_of_zero_beside_another_follows_their_correlation() {
     let s: f64 = 0.8;
     for r in [0.6, -0.6] {
         let given = of(CovarianceKind::Correlation(numbers(&symmetric([1.0, r, 1.0]))));
-        let spot = |c: f64, m: f64| {
+        let candidate = |c: f64, m: f64| {
             let moment = symmetric([1.0 + s, c, 1.0 + m]);
             let case = Case { moment, ..Case::at_zero(DMatrix::identity(2, 2)) };
-            Spot::of_members(&case.data(), &given, case.mean().as_slice(), &symmetric([s, 0.0, 0.0]))
+            Candidate::of_members(&case.data(), &given, case.mean().as_slice(), &symmetric([s, 0.0, 0.0]))
         };
         let n = (TESTS as f64 / 2.0).sqrt();
-        spot(0.0, 0.2).is_refused_off_the_range(0.2 * n, &format!("no slope, r = {r}"));
-        spot(0.0, -0.2).is_accepted(&format!("no slope, but a loss, r = {r}"));
+        candidate(0.0, 0.2).is_refused_off_the_range(0.2 * n, &format!("no slope, r = {r}"));
+        candidate(0.0, -0.2).is_accepted(&format!("no slope, but a loss, r = {r}"));
         // ℓ falls at first, whatever comes after
-        spot(-0.1 * r, 0.2).is_accepted(&format!("a slope downwards, r = {r}"));
+        candidate(-0.1 * r, 0.2).is_accepted(&format!("a slope downwards, r = {r}"));
         // ℓ rises at first, as the gradient shows
         for m in [0.2, -0.2] {
-            let found = spot(0.1 * r, m).certificate();
+            let found = candidate(0.1 * r, m).certificate();
             assert!(found.decrement > 0.05 && !found.holds(1e-2), "a slope upwards, m = {m}, r = {r}: {found:?}");
         }
     }
@@ -428,8 +428,8 @@ fn a_pair_of_standard_deviations_is_tried_in_their_own_units() {
     let along = DMatrix::from_fn(3, 3, |i, k| grown[i] * grown[k] * correlation[(i, k)]);
     let given = of(CovarianceKind::Correlation(numbers(&correlation)));
     let sigma = DMatrix::from_diagonal(&DVector::from_vec(vec![0.0, 0.0, s]));
-    let spot = Spot::of_members(&case.data(), &given, case.mean().as_slice(), &sigma);
-    spot.is_refused_off_the_range(case.slope(&along), "flat in one, but not in both");
+    let candidate = Candidate::of_members(&case.data(), &given, case.mean().as_slice(), &sigma);
+    candidate.is_refused_off_the_range(case.slope(&along), "flat in one, but not in both");
 }
 
 /// β = 0 is on the boundary; any other β is not, and there the gradient is enough.
@@ -439,8 +439,8 @@ fn a_scale_that_is_not_zero_has_no_null_space() {
     let scaled = of(CovarianceKind::Proportional(numbers(&star)));
     for scale in [1.0, 1e-6] {
         let case = Case { factor: design(2), ..Case::at_zero(symmetric([3.0, 0.1, 4.0])) };
-        let spot = Spot::of_members(&case.data(), &scaled, case.mean().as_slice(), &(&star * scale));
-        let found = spot.certificate();
+        let candidate = Candidate::of_members(&case.data(), &scaled, case.mean().as_slice(), &(&star * scale));
+        let found = candidate.certificate();
         assert_eq!(found.null_space, 0.0, "β = {scale}: {found:?}");
         assert!(found.decrement > 1e-4 && found.covariance > 1e-4, "β = {scale}: ℓ rises with it, {found:?}");
     }
@@ -456,14 +456,14 @@ fn constraints_take_their_share_of_the_score() {
         let left = symmetric([0.5 * m + lambda, -0.5 * m, 0.5 * m]);
         let case =
             Case { moment: &inner + &inner * left * &inner, spread: spread.clone(), factor: DMatrix::identity(2, 2) };
-        let spot = case.spot(&fixed(0, 0, s));
+        let candidate = case.candidate(&fixed(0, 0, s));
         let what = format!("m = {m}, λ = {lambda}");
         if m > 0.0 {
-            spot.is_refused_off_the_range(m * (TESTS as f64 / 2.0).sqrt(), &what)
+            candidate.is_refused_off_the_range(m * (TESTS as f64 / 2.0).sqrt(), &what)
         } else {
-            spot.is_accepted(&what)
+            candidate.is_accepted(&what)
         }
-        let free = case.spot(&full()).certificate();
+        let free = case.candidate(&full()).certificate();
         assert!(!free.holds(1e-2), "{what}: without the constraint it is no optimum: {free:?}");
     }
 }
@@ -473,9 +473,9 @@ fn multipliers_that_are_not_determined_are_chosen_for_the_point() {
     // σ_00 = σ_11 at Σ = 0: (a, c; c, b) less t (1, 0; 0, -1) can be made negative where a + b + 2|c| < 0
     let equal = CovarianceStructure { equal: vec![vec![(0, 0), (1, 1)]], ..full() };
     for (a, b, c) in [(0.3, -0.5, 0.05), (-0.5, 0.3, -0.05)] {
-        Case::at_zero(symmetric([1.0 + a, c, 1.0 + b])).spot(&equal).is_accepted(&format!("{a}, {b}, {c}"));
+        Case::at_zero(symmetric([1.0 + a, c, 1.0 + b])).candidate(&equal).is_accepted(&format!("{a}, {b}, {c}"));
     }
     for (a, b, c) in [(0.5, -0.3, 0.05), (0.3, -0.5, 0.3), (-0.5, 0.3, -0.3)] {
-        Case::at_zero(symmetric([1.0 + a, c, 1.0 + b])).spot(&equal).is_refused(&format!("{a}, {b}, {c}"));
+        Case::at_zero(symmetric([1.0 + a, c, 1.0 + b])).candidate(&equal).is_refused(&format!("{a}, {b}, {c}"));
     }
 }

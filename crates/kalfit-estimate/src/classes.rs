@@ -91,7 +91,7 @@ enum ClassKind {
 type ClassFill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
 
 /// Number of classes that one thread gathers at a time.
-const CHUNK: usize = 64;
+const CLASSES_PER_TASK: usize = 64;
 
 impl Classes {
     /// Gathers reductions with `regressors` covariates each; `ranges` holds the states of each phase. `chained`: tests
@@ -100,7 +100,7 @@ impl Classes {
         let elements = Elements::new(ranges);
         let chained = chained && !elements.is_single();
         if let Some(remote) = reductions.remote() {
-            return Classes::afar(remote, (elements, regressors), chained);
+            return Classes::of_remote(remote, (elements, regressors), chained);
         }
         let members = ordered(reductions, chained);
         let pooled = Pooled::all(reductions, members.tests(), (elements.states(), regressors));
@@ -109,7 +109,7 @@ impl Classes {
 
     /// Gathers reductions in the coordinates of other classes.
     pub(crate) fn within(reductions: &Reductions, like: &Classes) -> Classes {
-        like.again(reductions, like.chained)
+        like.regathered(reductions, like.chained)
     }
 
     /// The classes with the groups of their tests. The reductions must be in the states of the test and of each of its
@@ -117,7 +117,7 @@ impl Classes {
     pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
         let centre = self.frame.centred(grouping.depth() + 1);
         if centre != self.frame {
-            self = Classes { frame: centre, ..self }.again(reductions, false);
+            self = Classes { frame: centre, ..self }.regathered(reductions, false);
         }
         let units = Units::new(reductions, &self, grouping).expect("every test is in a group");
         if self.remote.is_none() {
@@ -141,7 +141,7 @@ impl Classes {
     }
 
     /// The classes of other reductions, or stored in another way, in the same coordinates.
-    fn again(&self, reductions: &Reductions, chained: bool) -> Classes {
+    fn regathered(&self, reductions: &Reductions, chained: bool) -> Classes {
         if let Some(remote) = reductions.remote() {
             return Classes { remote: Some(remote.clone()), ..self.clone() }; // the pooled sums suffice for starts
         }
@@ -190,20 +190,20 @@ impl Classes {
         found: (usize, DMatrix<f64>, Vec<f64>),
     ) -> Classes {
         let chains = if chained { side_by_side(reductions, &members, (frame, elements)) } else { Vec::new() };
-        let lanes = in_lanes(&chains, members.len());
-        let in_blocks = elements.is_single() && !frame.scale.is_empty();
+        let lanes = lanes_of_classes(&chains, members.len());
+        let has_blocks = elements.is_single() && !frame.scale.is_empty();
         let apart = |j: usize| reductions.path(j) == Path::SquareRoot || reductions.exact(j).is_some();
         let kind = |class: usize| match members.class(class) {
-            tests if !in_blocks || tests.iter().any(|&j| apart(j)) => ClassKind::Listed,
+            tests if !has_blocks || tests.iter().any(|&j| apart(j)) => ClassKind::Listed,
             [_] => ClassKind::Single,
             _ => ClassKind::Several,
         };
-        let fill = |class: usize, room: &mut Class| {
+        let fill = |class: usize, buffer: &mut Class| {
             let tests = members.class(class);
             if chained && reductions.chain(tests[0]).is_some() {
-                gather_chains((reductions, tests), (frame, elements), lanes.get(class).cloned().flatten(), room);
+                gather_chains((reductions, tests), (frame, elements), lanes.get(class).cloned().flatten(), buffer);
             } else {
-                gather(reductions, tests, frame, room);
+                gather(reductions, tests, frame, buffer);
             }
         };
         let kinds = (0..members.len()).map(kind).collect();
@@ -227,7 +227,7 @@ impl Classes {
         let [single, several, listed] = &numbers;
         let (p, regressors) = (frame.scale.len(), frame.covariate_scale.len());
         let filled = |several: bool, numbers: &[usize]| {
-            let fill = |at: usize, room: &mut Class| fill(numbers[at], room);
+            let fill = |at: usize, buffer: &mut Class| fill(numbers[at], buffer);
             ClassBatches::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
         };
         let (blocks, shared) = (filled(false, single), filled(true, several));
@@ -259,13 +259,13 @@ impl Classes {
         self.places.len()
     }
 
-    /// The class with a number, which is read into `room` where it is in blocks.
-    pub(crate) fn get<'a>(&'a self, number: usize, room: &'a mut Class) -> ClassRef<'a> {
+    /// The class with a number, which is read into `buffer` where it is in blocks.
+    pub(crate) fn get<'a>(&'a self, number: usize, buffer: &'a mut Class) -> ClassRef<'a> {
         if let ClassIndex { kind: ClassKind::Listed, at } = self.places[number] {
             return self.listed.get(at as usize);
         }
-        self.read(number, room);
-        room.view()
+        self.read(number, buffer);
+        buffer.view()
     }
 
     /// Writes the class with a number into a buffer.
@@ -286,7 +286,7 @@ impl Classes {
     }
 
     /// These classes as the classes of reductions of the same tests, in the same order and at the noise of the classes.
-    pub(super) fn grounded(&self, reductions: &Reductions) -> Option<Classes> {
+    pub(super) fn with_reductions(&self, reductions: &Reductions) -> Option<Classes> {
         let members = self.members.as_ref().filter(|members| members.tests().len() == reductions.len());
         let known = members.is_some() && self.units.is_none();
         known.then(|| Classes { stamp: Some(reductions.stamp()), ..self.clone() })
@@ -298,7 +298,7 @@ impl Classes {
     }
 
     /// Whether every test of the reductions that the classes were made from has a class to itself.
-    pub fn are_single(&self) -> bool {
+    pub fn has_class_per_test(&self) -> bool {
         self.stamp.is_some() && self.len() == self.tests
     }
 
@@ -312,27 +312,27 @@ impl Classes {
 
     /// The classes with all noise variances multiplied by λ, from the residual of each class, in coordinates that are
     /// √λ times as large. They belong to no reductions, and their tests must be in one phase.
-    pub(crate) fn with_noise(&self, variance: f64, told: &Arc<Vec<Residual>>) -> Classes {
+    pub(crate) fn with_noise(&self, variance: f64, residuals: &Arc<Vec<Residual>>) -> Classes {
         debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
-        let noise = NoiseScale { variance, told: told.clone() };
+        let noise = NoiseScale { variance, residuals: residuals.clone() };
         let (mut changes, mut listed) = ([Residual::default(); 2], Vec::with_capacity(self.listed.len()));
-        for (place, told) in self.places.iter().zip(told.iter()) {
+        for (place, residuals) in self.places.iter().zip(residuals.iter()) {
             match place.kind {
-                ClassKind::Single => changes[0] = changes[0].and(*told),
-                ClassKind::Several => changes[1] = changes[1].and(*told),
-                ClassKind::Listed => listed.push(told.change(variance)),
+                ClassKind::Single => changes[0] = changes[0].and(*residuals),
+                ClassKind::Several => changes[1] = changes[1].and(*residuals),
+                ClassKind::Listed => listed.push(residuals.change(variance)),
             }
         }
         let [single, several] = changes.map(|change| change.change(variance));
         let size = variance.sqrt();
-        let change = told.iter().fold(Residual::default(), |sum, one| sum.and(*one)).change(variance);
+        let change = residuals.iter().fold(Residual::default(), |sum, one| sum.and(*one)).change(variance);
         let noise_unit = noise.unit();
         let scale = self.frame.scale.iter().map(|s| s * size).collect();
         Classes {
             places: self.places.clone(),
-            blocks: self.blocks.shrunk(noise.unit(), single),
-            shared: self.shared.shrunk(noise.unit(), several),
-            listed: self.listed.shrunk(noise.unit(), |at| listed[at]),
+            blocks: self.blocks.at_noise(noise.unit(), single),
+            shared: self.shared.at_noise(noise.unit(), several),
+            listed: self.listed.at_noise(noise.unit(), |at| listed[at]),
             noise: Some(noise),
             unbatched: self.unbatched.clone(),
             chains: Vec::new(),
@@ -365,14 +365,14 @@ impl Classes {
         }
         let numbers: Vec<usize> = (0..self.len()).skip(every / 2).step_by(every).collect();
         let kinds = numbers.iter().map(|&number| self.places[number].kind).collect();
-        let chains = self.repacked(&numbers);
-        let lanes = in_lanes(&chains, numbers.len());
-        let fill = |at: usize, room: &mut Class| {
-            self.read(numbers[at], room);
-            room.chain = lanes.get(at).cloned().flatten().or(room.chain.take());
+        let chains = self.packed_subset(&numbers);
+        let lanes = lanes_of_classes(&chains, numbers.len());
+        let fill = |at: usize, buffer: &mut Class| {
+            self.read(numbers[at], buffer);
+            buffer.chain = lanes.get(at).cloned().flatten().or(buffer.chain.take());
         };
-        let mut room = Class::default();
-        let tests = numbers.iter().map(|&number| self.get(number, &mut room).count).sum::<f64>();
+        let mut buffer = Class::default();
+        let tests = numbers.iter().map(|&number| self.get(number, &mut buffer).count).sum::<f64>();
         let share = tests / self.tests as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
         let found = (tests as usize, &self.information * share, present);
@@ -380,11 +380,11 @@ impl Classes {
     }
 
     /// Packs the chains of some classes into lanes, where they have a common shape.
-    fn repacked(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
+    fn packed_subset(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
         let lanes = Isa::best().lanes();
-        let mut room = Class::default();
+        let mut buffer = Class::default();
         let kept: Vec<Option<ChainStore>> =
-            numbers.iter().map(|&number| self.get(number, &mut room).chain.cloned()).collect();
+            numbers.iter().map(|&number| self.get(number, &mut buffer).chain.cloned()).collect();
         let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(ChainStore::shape)).enumerate(), lanes);
         let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
         let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
@@ -396,7 +396,7 @@ impl Classes {
         if self.chained {
             return self.of(reductions);
         }
-        Cow::Owned(self.again(reductions, true))
+        Cow::Owned(self.regathered(reductions, true))
     }
 
     /// A class of one test, in the same η.
@@ -418,16 +418,16 @@ impl Classes {
 
     /// A class whose exact rows have a singular covariance at a point, if there is one: in η, the standard deviation of
     /// one row given the rows before is nearly zero.
-    pub(super) fn collapsed(&self, point: &Point) -> Option<usize> {
-        const NONE: f64 = 1e-8;
-        let (p, mut room) = (self.dimension(), Class::default());
+    pub(super) fn singular_exact_class(&self, point: &Point) -> Option<usize> {
+        const ZERO_STD_DEV: f64 = 1e-8;
+        let (p, mut buffer) = (self.dimension(), Class::default());
         (0..self.len()).find(|&number| {
-            let class = self.get(number, &mut room);
+            let class = self.get(number, &mut buffer);
             let exact = class.factor.get(p * p..).filter(|exact| !exact.is_empty());
             exact.is_some_and(|exact| {
                 let rows = DMatrix::from_row_slice(exact.len() / p, p, exact) * &point.root;
                 let root = rows.transpose().qr().r();
-                root.nrows() < root.ncols() || root.diagonal().iter().any(|own| own.abs() < NONE)
+                root.nrows() < root.ncols() || root.diagonal().iter().any(|own| own.abs() < ZERO_STD_DEV)
             })
         })
     }
@@ -441,14 +441,14 @@ impl Classes {
 /// The classes with these numbers, as a list.
 fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
     let some = |numbers: &[usize]| {
-        let (mut listed, mut room) = (Listed::default(), Class::default());
+        let (mut listed, mut buffer) = (Listed::default(), Class::default());
         for &number in numbers {
-            fill(number, &mut room);
-            listed.push(room.view());
+            fill(number, &mut buffer);
+            listed.push(buffer.view());
         }
         listed
     };
-    let parts: Vec<Listed> = numbers.par_chunks(CHUNK).map(some).collect();
+    let parts: Vec<Listed> = numbers.par_chunks(CLASSES_PER_TASK).map(some).collect();
     let mut all = Listed::default();
     parts.into_iter().for_each(|part| all.append(part));
     all
@@ -485,7 +485,7 @@ fn side_by_side(
 }
 
 /// The lane of each class in phases, by its number; empty where no classes are packed.
-fn in_lanes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<ChainStore>> {
+fn lanes_of_classes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<ChainStore>> {
     if chains.is_empty() {
         return Vec::new();
     }

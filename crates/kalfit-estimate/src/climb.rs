@@ -9,7 +9,7 @@ use crate::point::Point;
 use crate::settings::Stop;
 
 /// Smallest fraction of the gain promised by the slopes along flat directions at which a step along them is accepted.
-const RISES: f64 = 0.05;
+const MIN_FLAT_GAIN_RATIO: f64 = 0.05;
 
 /// The limits of a climb.
 #[derive(Debug, Clone, Copy)]
@@ -28,36 +28,36 @@ pub fn climb(
     start: NewtonIterate,
     limits: ClimbLimits,
 ) -> (NewtonIterate, Stop) {
-    let mut place = start;
+    let mut iterate = start;
     let mut damping = Damping::default();
     for _ in 0..limits.steps {
-        if place.decrement() <= limits.tolerance {
-            match escaped(objective, map, tests, &mut place).or_else(|| slid(objective, map, &mut place)) {
-                Some(better) => place = better,
-                None => return (place, Stop::Certified),
+        if iterate.decrement() <= limits.tolerance {
+            match step_off_boundary(objective, map, tests, &mut iterate).or_else(|| step_along_flat(objective, map, &mut iterate)) {
+                Some(better) => iterate = better,
+                None => return (iterate, Stop::Certified),
             }
         }
-        match damping.attempt(objective, map, &mut place) {
-            Attempt::Better(next) => place = *next,
-            Attempt::Failed | Attempt::Blind => return (place, Stop::Stalled),
+        match damping.attempt(objective, map, &mut iterate) {
+            Attempt::Better(next) => iterate = *next,
+            Attempt::Failed | Attempt::BelowRounding => return (iterate, Stop::Stalled),
         }
     }
-    let certified = place.decrement() <= limits.tolerance && certificate(map, &place, tests).1.is_none();
-    (place, if certified { Stop::Certified } else { Stop::PassLimit })
+    let certified = iterate.decrement() <= limits.tolerance && certificate(map, &iterate, tests).1.is_none();
+    (iterate, if certified { Stop::Certified } else { Stop::PassLimit })
 }
 
 /// A better iterate off the boundary, where the certificate fails on the null space of Σ.
-pub(crate) fn escaped(
+pub(crate) fn step_off_boundary(
     objective: &dyn Objective,
     map: &CovarianceMap,
     tests: f64,
-    place: &mut NewtonIterate,
+    iterate: &mut NewtonIterate,
 ) -> Option<NewtonIterate> {
-    let (_, escape) = certificate(map, place, tests);
+    let (_, escape) = certificate(map, iterate, tests);
     let escape = escape?;
     let mut length = escape.length;
     for _ in 0..8 {
-        if let Some(next) = place.surpassed(objective, |place| grown(objective, map, place, &escape, length)) {
+        if let Some(next) = iterate.try_successor(objective, |iterate| grown(objective, map, iterate, &escape, length)) {
             return Some(next);
         }
         length *= 0.25;
@@ -66,24 +66,24 @@ pub(crate) fn escaped(
 }
 
 /// A better iterate along the flat directions that ordinary steps leave out, where ℓ rises as their slopes promise.
-pub(crate) fn slid(objective: &dyn Objective, map: &CovarianceMap, place: &mut NewtonIterate) -> Option<NewtonIterate> {
-    let (step, promised) = place.curvature.along_flat()?;
-    place.surpassed(objective, |place| {
-        let point = moved(objective, map, place, &step)?;
-        let next = NewtonIterate::new(objective, map, point, place.near())?;
-        (next.local.value > place.local.value + RISES * promised).then_some(next)
+pub(crate) fn step_along_flat(objective: &dyn Objective, map: &CovarianceMap, iterate: &mut NewtonIterate) -> Option<NewtonIterate> {
+    let (step, promised) = iterate.curvature.along_flat()?;
+    iterate.try_successor(objective, |iterate| {
+        let point = moved(objective, map, iterate, &step)?;
+        let next = NewtonIterate::new(objective, map, point, iterate.near())?;
+        (next.local.value > iterate.local.value + MIN_FLAT_GAIN_RATIO * promised).then_some(next)
     })
 }
 
 fn grown(
     objective: &dyn Objective,
     map: &CovarianceMap,
-    place: &NewtonIterate,
+    iterate: &NewtonIterate,
     escape: &Escape,
     length: f64,
 ) -> Option<NewtonIterate> {
-    let sigma = place.point.covariance() + &escape.direction * length;
+    let sigma = iterate.point.covariance() + &escape.direction * length;
     let root = map.onto(&map.root_of(&sigma))?;
-    let next = NewtonIterate::new(objective, map, Point { root, ..place.point.clone() }, place.near())?;
-    (next.local.value > place.local.value).then_some(next)
+    let next = NewtonIterate::new(objective, map, Point { root, ..iterate.point.clone() }, iterate.near())?;
+    (next.local.value > iterate.local.value).then_some(next)
 }

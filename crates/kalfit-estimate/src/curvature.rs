@@ -16,7 +16,7 @@ pub(crate) struct Curvature {
     /// Gradient along the tangent basis, times `scale`.
     gradient: DVector<f64>,
     /// The undamped step, where no eigenvalue is negative or flat.
-    plain: Option<UndampedStep>,
+    undamped: Option<UndampedStep>,
     /// The eigenvalues: computed at once where there is no undamped step, else when first needed.
     spectrum: OnceLock<Spectrum>,
 }
@@ -39,21 +39,21 @@ struct Spectrum {
 }
 
 /// A model with a negative eigenvalue is not trusted beyond this decrement, in standard errors.
-const FAR: f64 = 1.0;
+const MAX_TRUSTED_DECREMENT: f64 = 1.0;
 
 /// A step that fails is tried again at no less than this fraction of its length.
-const SHORTEST: f64 = 0.25;
+const MIN_SHORTENING: f64 = 0.25;
 /// A step that fails is tried again at no more than this fraction of its length.
-const LONGEST: f64 = 0.5;
+const MAX_SHORTENING: f64 = 0.5;
 
 /// Information on a coordinate, at its natural size, below this fraction of the largest is rounding.
-pub const NOTHING: f64 = 1e-14;
+pub const NEGLIGIBLE_INFORMATION: f64 = 1e-14;
 /// Directions with scaled eigenvalues up to this are flat: the data do not inform them.
-const FLAT: f64 = 1e-10;
+const FLAT_EIGENVALUE: f64 = 1e-10;
 /// Scaled eigenvalues below this are rounding: steps along flat directions divide by this instead.
-const ROUNDING: f64 = 1e-15;
+const ROUNDING_EIGENVALUE: f64 = 1e-15;
 /// No step is taken along flat directions whose slopes promise a gain in ℓ of at most this.
-const LITTLE: f64 = 1e-6;
+const MIN_FLAT_GAIN: f64 = 1e-6;
 
 impl Curvature {
     pub(crate) fn new(tangent: &Tangent) -> Curvature {
@@ -61,7 +61,7 @@ impl Curvature {
         let n = h.nrows();
         let own = |i: usize| h[(i, i)].abs() * tangent.sizes[i].powi(2);
         let largest = (0..n).map(own).fold(0.0, f64::max);
-        let unit = |i: usize| if own(i) > NOTHING * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
+        let unit = |i: usize| if own(i) > NEGLIGIBLE_INFORMATION * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
         let gradient = tangent.gradient.component_mul(&scale);
         Curvature::scaled_by(scale, gradient, h.as_view())
@@ -74,10 +74,10 @@ impl Curvature {
         gradient: DVector<f64>,
         information: DMatrixView<'_, f64>,
     ) -> Curvature {
-        let mut found = Curvature { scale, gradient, plain: None, spectrum: OnceLock::new() };
+        let mut found = Curvature { scale, gradient, undamped: None, spectrum: OnceLock::new() };
         // with many states neither the matrix nor its root can be stored, but the step derived from them can
-        found.plain = Regular::within(found.scaled(information)).map(|root| UndampedStep::of(&root, &found.gradient));
-        if found.plain.is_none() {
+        found.undamped = Regular::within(found.scaled(information)).map(|root| UndampedStep::of(&root, &found.gradient));
+        if found.undamped.is_none() {
             found.spectrum(information);
         }
         found
@@ -93,7 +93,7 @@ impl Curvature {
         self.spectrum.get_or_init(|| {
             let scaled = self.scaled(information);
             // where there is a root, the matrix decomposed is the product of that root
-            let root = self.plain.as_ref().and_then(|_| Regular::within(scaled.clone()));
+            let root = self.undamped.as_ref().and_then(|_| Regular::within(scaled.clone()));
             let (values, vectors) = symmetric::eigen(&root.map_or(scaled, Regular::into_product));
             let gradient = vectors.transpose() * &self.gradient;
             Spectrum { values, vectors, gradient }
@@ -101,42 +101,42 @@ impl Curvature {
     }
 
     /// The spectrum, which exists where there is no root.
-    fn known(&self) -> &Spectrum {
+    fn spectrum_without_root(&self) -> &Spectrum {
         self.spectrum.get().expect("it is worked out where there is no root")
     }
 
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
-        self.plain.as_ref().map_or_else(|| self.known().decrement(), |plain| plain.decrement)
+        self.undamped.as_ref().map_or_else(|| self.spectrum_without_root().decrement(), |undamped| undamped.decrement)
     }
 
     /// The step along flat directions by their slopes, in the tangent basis, and the gain it promises; `None` where
     /// that is little. The gain must be checked on ℓ itself: where two quantities are almost confounded, as a state and
     /// another times 10⁷ ± 1, ℓ determines more than its curvature can show.
     pub(crate) fn along_flat(&self) -> Option<(DVector<f64>, f64)> {
-        let spectrum = self.spectrum.get().filter(|_| self.plain.is_none())?;
+        let spectrum = self.spectrum.get().filter(|_| self.undamped.is_none())?;
         let (step, gain) = spectrum.along_flat();
-        (gain > LITTLE).then(|| (step.component_mul(&self.scale), gain))
+        (gain > MIN_FLAT_GAIN).then(|| (step.component_mul(&self.scale), gain))
     }
 
     /// Damping where the value is not concave: the model holds over less distance there.
-    pub(crate) fn doubtful(&self) -> f64 {
-        if self.plain.is_some() {
+    pub(crate) fn nonconcave_damping(&self) -> f64 {
+        if self.undamped.is_some() {
             return 0.0;
         }
-        let least = self.known().values.first().copied().unwrap_or(0.0);
-        if least < -1e-3 && self.decrement() > FAR { 0.6 * -least } else { 0.0 }
+        let least = self.spectrum_without_root().values.first().copied().unwrap_or(0.0);
+        if least < -1e-3 && self.decrement() > MAX_TRUSTED_DECREMENT { 0.6 * -least } else { 0.0 }
     }
 
     /// The damping for the next try after a step with `damping` gained only `gain`: a parabola through both values,
     /// with the slope at the first, gives the new length, between a quarter and a half of the old one. `information` is
     /// the one along the tangent basis.
-    pub(crate) fn shorter(&self, information: &DMatrix<f64>, damping: f64, gain: f64) -> f64 {
+    pub(crate) fn damping_after_failure(&self, information: &DMatrix<f64>, damping: f64, gain: f64) -> f64 {
         let spectrum = self.spectrum(information.as_view());
         let length = |d: f64| spectrum.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
         let slope: f64 = spectrum.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
         let part = slope / (2.0 * (slope - gain)); // zero where ℓ has no value
-        let wanted = length(damping) * part.clamp(SHORTEST, LONGEST);
+        let wanted = length(damping) * part.clamp(MIN_SHORTENING, MAX_SHORTENING);
         let (mut low, mut high) = (damping, damping.max(1e-3));
         while length(high) > wanted && high < 1e30 {
             low = high;
@@ -152,8 +152,8 @@ impl Curvature {
     /// Step along the tangent basis with the given damping, and the gain it promises. `information` is the one along
     /// the tangent basis.
     pub(crate) fn step(&self, information: &DMatrix<f64>, damping: f64) -> (DVector<f64>, f64) {
-        let (step, gain) = match &self.plain {
-            Some(plain) if damping == 0.0 => (plain.step.clone(), plain.gain),
+        let (step, gain) = match &self.undamped {
+            Some(undamped) if damping == 0.0 => (undamped.step.clone(), undamped.gain),
             _ => self.spectrum(information.as_view()).step(damping),
         };
         (step.component_mul(&self.scale), gain)
@@ -170,7 +170,7 @@ impl UndampedStep {
 impl Spectrum {
     /// (number, |eigenvalue|, gradient) of each direction that is not flat.
     fn terms(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
-        let kept = |&(_, h, _): &(usize, f64, f64)| h > FLAT;
+        let kept = |&(_, h, _): &(usize, f64, f64)| h > FLAT_EIGENVALUE;
         self.values.iter().enumerate().map(|(k, v)| (k, v.abs(), self.gradient[k])).filter(kept)
     }
 
@@ -182,8 +182,8 @@ impl Spectrum {
     fn along_flat(&self) -> (DVector<f64>, f64) {
         let mut along = DVector::zeros(self.values.len());
         let mut gain = 0.0;
-        for (k, h) in self.values.iter().map(|v| v.abs()).enumerate().filter(|(_, h)| *h <= FLAT) {
-            along[k] = self.gradient[k] / h.max(ROUNDING);
+        for (k, h) in self.values.iter().map(|v| v.abs()).enumerate().filter(|(_, h)| *h <= FLAT_EIGENVALUE) {
+            along[k] = self.gradient[k] / h.max(ROUNDING_EIGENVALUE);
             gain += 0.5 * self.gradient[k] * along[k];
         }
         (&self.vectors * along, gain)
@@ -219,26 +219,26 @@ mod tests {
         let wave = DMatrix::from_fn(n, n, |i, k| ((3 * i + 7 * k) as f64).sin());
         let h = &wave * wave.transpose() + DMatrix::identity(n, n) * 0.05;
         let curvature = of(&h, DVector::from_fn(n, |i, _| (i as f64).cos()));
-        assert!(curvature.plain.is_some(), "it is regular");
+        assert!(curvature.undamped.is_some(), "it is regular");
         let (step, gain) = curvature.step(&h, 0.0);
         let (expected, promised) = curvature.spectrum(h.as_view()).step(0.0);
         assert!((&step - &expected).norm() < 1e-11 * expected.norm(), "{step} {expected}");
         assert!((gain - promised).abs() < 1e-11 * promised, "{gain} {promised}");
-        let (decrement, by_values) = (curvature.decrement(), curvature.known().decrement());
+        let (decrement, by_values) = (curvature.decrement(), curvature.spectrum_without_root().decrement());
         assert!((decrement - by_values).abs() < 1e-11 * by_values, "{decrement} {by_values}");
-        assert_eq!(curvature.doubtful(), 0.0);
+        assert_eq!(curvature.nonconcave_damping(), 0.0);
     }
 
     #[test]
     fn where_a_direction_is_flat_or_not_concave_there_is_no_root() {
         let diagonal = |least: f64| DMatrix::from_diagonal(&DVector::from_vec(vec![1.0, least, 2.0]));
-        assert!(of(&diagonal(0.5), DVector::zeros(3)).plain.is_some());
+        assert!(of(&diagonal(0.5), DVector::zeros(3)).undamped.is_some());
         let flat = of(&diagonal(0.0), DVector::from_vec(vec![3.0, 100.0, 0.0]));
         assert_eq!(flat.decrement(), 3.0);
         for (least, size, expected) in
             [(-0.5, 1.0, 0.3), (-2e-3, 1.0, 1.2e-3), (-5e-4, 1.0, 0.0), (0.0, 1.0, 0.0), (-0.5, 0.1, 0.0)]
         {
-            let found = of(&diagonal(least), DVector::from_vec(vec![3.0 * size, 0.0, 0.0])).doubtful();
+            let found = of(&diagonal(least), DVector::from_vec(vec![3.0 * size, 0.0, 0.0])).nonconcave_damping();
             assert!((found - expected).abs() < 1e-12, "{least} at {size}: {found} {expected}");
         }
     }
@@ -302,7 +302,7 @@ mod tests {
             // a parabola with this slope that has fallen by `loss` at the end of the step has its maximum at this
             // fraction of the step
             for (loss, part) in [(0.1 * slope, 1.0 / 2.2), (f64::INFINITY, 0.25), (-0.01 * slope, 0.5)] {
-                let found = length(curvature.shorter(&h, damping, -loss)) / length(damping);
+                let found = length(curvature.damping_after_failure(&h, damping, -loss)) / length(damping);
                 assert!((found - part).abs() < 1e-4, "{damping} {loss}: {found} {part}");
             }
         }

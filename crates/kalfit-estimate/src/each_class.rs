@@ -13,7 +13,7 @@ use crate::point::{Point, Regressors};
 use crate::terms::ClassTerms;
 
 /// Number of classes that one thread evaluates at a time.
-const CHUNK: usize = 256;
+const CLASSES_PER_TASK: usize = 256;
 
 /// Access to classes by their numbers.
 type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
@@ -33,16 +33,16 @@ pub fn map_classes<T: Send>(
     let parts = map_classes_and_packed(
         classes,
         &|| (start(), ClassTerms::new(point, regressors)),
-        &|(made, terms), k, class| {
+        &|(folded, terms), k, class| {
             terms.evaluate(class, detail);
-            of(made, k, class, terms);
+            of(folded, k, class, terms);
         },
-        &|(made, terms), packed| {
-            let of: &mut dyn FnMut(usize, &ClassTerms<'_>) = &mut |k, terms| of(made, k, class(k), terms);
+        &|(folded, terms), packed| {
+            let of: &mut dyn FnMut(usize, &ClassTerms<'_>) = &mut |k, terms| of(folded, k, class(k), terms);
             isa.run(PackedTerms { packed, class, regressors, point, root, detail, terms, of });
         },
     );
-    parts.into_iter().map(|(made, _)| made).collect()
+    parts.into_iter().map(|(folded, _)| folded).collect()
 }
 
 /// Folds unpacked classes by `one`, with their numbers, and packed ones by `several`, into parts that begin as
@@ -57,17 +57,17 @@ pub(super) fn map_classes_and_packed<T: Send>(
     let packed = !classes.chains.is_empty();
     let alone = if packed { classes.unbatched.clone() } else { (0..classes.len()).collect() };
     let one_by_one = |numbers: &[usize]| {
-        let (mut made, mut room) = (start(), Class::default());
-        numbers.iter().for_each(|&k| one(&mut made, k, classes.get(k, &mut room)));
-        made
+        let (mut folded, mut buffer) = (start(), Class::default());
+        numbers.iter().for_each(|&k| one(&mut folded, k, classes.get(k, &mut buffer)));
+        folded
     };
-    let side_by_side = |blocks: &[Arc<Packed>]| {
-        let mut made = start();
-        blocks.iter().for_each(|packed| several(&mut made, packed));
-        made
+    let packed_blocks = |blocks: &[Arc<Packed>]| {
+        let mut folded = start();
+        blocks.iter().for_each(|packed| several(&mut folded, packed));
+        folded
     };
-    let mut parts: Vec<T> = alone.par_chunks(CHUNK).map(one_by_one).collect();
-    parts.par_extend(classes.chains.par_chunks(CHUNK / classes.blocks.isa().lanes()).map(side_by_side));
+    let mut parts: Vec<T> = alone.par_chunks(CLASSES_PER_TASK).map(one_by_one).collect();
+    parts.par_extend(classes.chains.par_chunks(CLASSES_PER_TASK / classes.blocks.isa().lanes()).map(packed_blocks));
     parts
 }
 

@@ -80,8 +80,8 @@ fn second_moment(
     delta: &DVector<f64>,
     tests: &DVector<f64>,
 ) -> DMatrix<f64> {
-    let lost = sigma * (&sums.weight - sums.moment()) * sigma;
-    let spread = DMatrix::from_fn(lost.nrows(), lost.ncols(), |i, j| sigma[(i, j)] - lost[(i, j)] / tests[i]);
+    let variance_reduction = sigma * (&sums.weight - sums.moment()) * sigma;
+    let spread = DMatrix::from_fn(variance_reduction.nrows(), variance_reduction.ncols(), |i, j| sigma[(i, j)] - variance_reduction[(i, j)] / tests[i]);
     spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
 }
 

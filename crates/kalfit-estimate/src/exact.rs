@@ -67,7 +67,7 @@ pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: D
         }
         match damping.attempt(&objective, map, &mut place) {
             Attempt::Better(next) => place = *next,
-            Attempt::Failed | Attempt::Blind => break,
+            Attempt::Failed | Attempt::BelowRounding => break,
         }
     }
     place.point.root

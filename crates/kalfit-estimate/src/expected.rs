@@ -19,7 +19,7 @@ use kalfit_model::Population;
 
 /// Largest deviation of a population from the structure, in standard deviations, that counts as rounding: the
 /// population was read from a file.
-const ROUNDING: f64 = 1e-6;
+const STRUCTURE_TOLERANCE: f64 = 1e-6;
 
 /// The reason why there is no state at a population.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,15 +45,15 @@ pub fn at_population(
     structure: &Structure<'_>,
     population: &Population,
 ) -> Result<FinalState, ExpectedError> {
-    let mut blanks = reductions.clone();
-    for number in 0..blanks.len() {
-        let test = blanks.get_mut(number);
+    let mut without_data = reductions.clone();
+    for number in 0..without_data.len() {
+        let test = without_data.get_mut(number);
         (*test.constant, *test.residual) = (0.0, None);
         test.data.fill(0.0);
         test.chain.into_iter().for_each(Chain::blank);
     }
     let settings = Settings::default();
-    let problem = super::problem(&blanks, structure, &settings)?;
+    let problem = super::problem(&without_data, structure, &settings)?;
     let mut point = point(&problem, population)?;
     let sums = problem.likelihood(&point, Order::Expected);
     let local = local(&sums);
@@ -96,7 +96,7 @@ fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedEr
     let away = &mean - &map.offset;
     let on = &map.offset + &map.basis * (map.basis.transpose() * &away);
     for i in 0..mean.len() {
-        if (mean[i] - on[i]).abs() > ROUNDING * (1.0 + on[i].abs()) {
+        if (mean[i] - on[i]).abs() > STRUCTURE_TOLERANCE * (1.0 + on[i].abs()) {
             let (found, expected) = (population.mean[i], frame.centre[i] + frame.scale[i] * on[i]);
             return Err(ExpectedError::Off { element: Element::Mean(i), found, expected });
         }
@@ -111,7 +111,7 @@ fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedEr
 }
 
 /// Variances below this fraction of the largest count as zero.
-const NOTHING: f64 = 1e-18;
+const ZERO_VARIANCE: f64 = 1e-18;
 
 /// A root of Σ in the form of the structure, or the element (i, j, value by the structure) that deviates most from the
 /// structure.
@@ -120,8 +120,8 @@ fn root(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, (usiz
     let on = &root * root.transpose();
     // in η all states are of about one size: what is far smaller than the largest is a zero with rounding
     let largest = (0..map.p).fold(0.0, |most: f64, i| most.max(sigma[(i, i)]));
-    let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(NOTHING * largest).sqrt();
-    let (mut worst, mut most) = (None, ROUNDING);
+    let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(ZERO_VARIANCE * largest).sqrt();
+    let (mut worst, mut most) = (None, STRUCTURE_TOLERANCE);
     let mut note = |i: usize, j: usize, away: f64, value: f64| {
         let unit = (size(i) * size(j)).max(f64::MIN_POSITIVE);
         if away.abs() > most * unit {

@@ -38,24 +38,24 @@ pub fn map_forms<T: Send>(
     let parts = map_classes_and_packed(
         classes,
         &|| (start(), ClassTerms::new(point, regressors), Vec::new()),
-        &|(made, terms, forms), k, class| {
+        &|(folded, terms, forms), k, class| {
             one((terms, forms), class);
-            of(made, k, forms);
+            of(folded, k, forms);
         },
-        &|(made, terms, forms), packed| {
+        &|(folded, terms, forms), packed| {
             let found = isa.run(Forms { packed, classes: &classes.listed, regressors, point, root, directions });
             for (lane, &k) in packed.members().iter().enumerate() {
                 match &found {
-                    Some(found) => of(made, k, &found[lane * directions.ncols()..][..directions.ncols()]),
+                    Some(found) => of(folded, k, &found[lane * directions.ncols()..][..directions.ncols()]),
                     None => {
                         one((terms, forms), classes.listed.get(k));
-                        of(made, k, forms);
+                        of(folded, k, forms);
                     }
                 }
             }
         },
     );
-    parts.into_iter().map(|(made, ..)| made).collect()
+    parts.into_iter().map(|(folded, ..)| folded).collect()
 }
 
 /// u'Wu of packed classes for every column u, class after class.

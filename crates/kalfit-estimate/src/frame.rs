@@ -11,7 +11,7 @@ use kalfit_model::ExactRows;
 pub(crate) use kalfit_model::remote::Coordinates as Frame;
 
 /// Number of tests that form one partial sum.
-const CHUNK: usize = 1024;
+const TESTS_PER_SUM: usize = 1024;
 
 /// What tests say together.
 pub(super) struct Pooled {
@@ -57,7 +57,7 @@ impl Pooled {
     pub(super) fn all(reductions: &Reductions, order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let units = &exact_units(reductions, order);
         let of = |part| Pooled::of((reductions, units), part, (p, regressors));
-        let parts: Vec<Pooled> = order.par_chunks(CHUNK).map(of).collect();
+        let parts: Vec<Pooled> = order.par_chunks(TESTS_PER_SUM).map(of).collect();
         parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
     }
 
@@ -117,8 +117,8 @@ impl Pooled {
         }
         for k in 0..p {
             let known = factor[pair(k, 0)..][..=k].iter().any(|x| *x != 0.0);
-            let told = exact.rows(p).any(|(row, _)| row[k] != 0.0);
-            self.informed[k] += f64::from(u8::from(told && !known));
+            let exact_informs = exact.rows(p).any(|(row, _)| row[k] != 0.0);
+            self.informed[k] += f64::from(u8::from(exact_informs && !known));
         }
     }
 

@@ -32,10 +32,10 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
             class.mean[i] += x * frame.centre[k];
         }
     }
-    let units = exact.map_or_else(Vec::new, |exact| put_exact(exact, frame, class));
+    let units = exact.map_or_else(Vec::new, |exact| write_exact(exact, frame, class));
     class.scatter.clear();
-    if let (&[alone], None) = (tests, exact) {
-        class.mean.iter_mut().zip(reductions.data(alone)).for_each(|(mean, d)| *mean = d - *mean);
+    if let (&[single], None) = (tests, exact) {
+        class.mean.iter_mut().zip(reductions.data(single)).for_each(|(mean, d)| *mean = d - *mean);
     } else {
         let offset = std::mem::replace(&mut class.mean, vec![0.0; rows]);
         scatter((reductions, tests), (&offset, &units), class);
@@ -45,11 +45,11 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
     class.constant += tests.len() as f64 * units.iter().map(|unit| unit.ln()).sum::<f64>();
     class.square_root = exact.is_some() || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot);
     class.chain = None;
-    about(reductions, tests, frame, class);
+    set_count_and_covariates(reductions, tests, frame, class);
 }
 
 /// Writes C, with rows of length one, and C × centre into a class; returns the factors that scaled the rows.
-fn put_exact(exact: &ExactRows, frame: &Frame, class: &mut Class) -> Vec<f64> {
+fn write_exact(exact: &ExactRows, frame: &Frame, class: &mut Class) -> Vec<f64> {
     let p = frame.scale.len();
     let mut units = Vec::with_capacity(exact.values.len());
     for (at, (row, _)) in exact.rows(p).enumerate() {
@@ -77,11 +77,11 @@ pub(super) fn gather_chains(
     class.square_root = false;
     let made = || ChainStore::Apart(ChainedClass::new(&chains, elements.blocks(), frame).into());
     class.chain = Some(place.unwrap_or_else(made));
-    about(reductions, tests, frame, class);
+    set_count_and_covariates(reductions, tests, frame, class);
 }
 
 /// Sets the number of tests and their covariates in units of the frame.
-fn about(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
+fn set_count_and_covariates(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
     class.count = tests.len() as f64;
     class.covariates.clear();
     let covariates = reductions.covariates(tests[0]).iter().zip(&frame.covariate_scale);
@@ -101,17 +101,17 @@ fn scatter((reductions, tests): (&Reductions, &[usize]), (offset, units): (&[f64
         (0..rows).for_each(|i| mean[i] += own(j, i) - offset[i]);
     }
     mean.iter_mut().for_each(|m| *m /= tests.len() as f64);
-    let away = |j: usize, i: usize| own(j, i) - offset[i] - mean[i];
+    let deviation = |j: usize, i: usize| own(j, i) - offset[i] - mean[i];
     if tests.len() == 1 {
         return;
     }
     if tests.len() <= rows {
-        class.scatter.extend(tests.iter().flat_map(|&j| (0..rows).map(move |i| (j, i))).map(|(j, i)| away(j, i)));
+        class.scatter.extend(tests.iter().flat_map(|&j| (0..rows).map(move |i| (j, i))).map(|(j, i)| deviation(j, i)));
         return;
     }
     let (mut sum, mut one) = (DMatrix::zeros(rows, rows), vec![0.0; rows]);
     for &j in tests {
-        one.iter_mut().enumerate().for_each(|(i, x)| *x = away(j, i));
+        one.iter_mut().enumerate().for_each(|(i, x)| *x = deviation(j, i));
         for (k, column) in sum.as_mut_slice().chunks_exact_mut(rows.max(1)).enumerate() {
             column.iter_mut().zip(&one).for_each(|(s, a)| *s += a * one[k]);
         }

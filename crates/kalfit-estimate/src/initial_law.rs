@@ -37,7 +37,7 @@ pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option
         DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| units[if k < p { k } else { k - p + all }] * half[(k, c)])
     };
     let given = |units: &Arc<Units>| match problem.classes.remote {
-        Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.told() }),
+        Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.message() }),
         None => joint_posteriors((units, frame), (point, &problem.mean.regressors), half.as_ref()),
     };
     InitialLaw {

@@ -93,7 +93,7 @@ pub use class::{Class, ClassRef};
 pub use classes::Classes;
 pub use climb::{ClimbLimits, climb};
 pub use covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm};
-pub use curvature::NOTHING;
+pub use curvature::NEGLIGIBLE_INFORMATION;
 pub use each_class::map_classes;
 pub use evidence::evidence;
 pub use expected::{ExpectedError, at_population};
@@ -101,9 +101,9 @@ pub use forms::map_forms;
 pub use initial_law::law_at;
 pub use joint_law::{FlatDirection, JointLaw, Mixed};
 pub use levels::{LevelPosteriors, ScaledGroupPosterior, TestPosterior, Units, posteriors as level_posteriors};
-pub use local::{Local, Objective, Tangent, harmonic, natural_sizes};
+pub use local::{Local, Objective, Tangent, natural_length, natural_sizes};
 pub use newton::NewtonIterate;
-pub use noise::{NoiseInformation, Noisy};
+pub use noise::{NoiseInformation, ScalableNoise};
 pub use order::Order;
 pub use point::Point;
 pub use problem::Problem;
@@ -157,7 +157,7 @@ pub fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(P
     let start = start::start(&problem, structure)?;
     let sums = problem.sums(&start, Order::Expected, None).filter(|sums| sums.value.is_finite());
     let sums = sums.ok_or(FitError::NotFinite)?;
-    Ok((problem, start, sums.at_rest()))
+    Ok((problem, start, sums.only_expected()))
 }
 
 /// The first id, in alphabetical order, that two tests share.

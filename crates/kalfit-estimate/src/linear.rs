@@ -14,11 +14,11 @@ use kalfit_algebra::symmetric;
 use kalfit_model::{CovarianceStructure, StructureError};
 
 /// Smallest eigenvalue of the correlations at which a start counts as well inside the cone.
-const INTERIOR: f64 = 0.05;
+const INTERIOR_EIGENVALUE: f64 = 0.05;
 /// Maximum number of rounds of projections onto the structure and the cone.
-const ROUNDS: usize = 500;
+const MAX_PROJECTIONS: usize = 500;
 /// Coefficients below this fraction of the largest one in their constraint are rounding.
-const ROUNDING: f64 = 1e-14;
+const COEFFICIENT_ROUNDING: f64 = 1e-14;
 
 /// A linear structure in η.
 #[derive(Debug, Clone)]
@@ -85,7 +85,7 @@ impl LinearStructure {
         s: usize,
     ) -> Constraint {
         let size = row.clone().map(f64::abs).fold(1.0, f64::max);
-        let by_pivot = pivots.iter().map(|&t| free[t]).zip(row).filter(|(_, e)| e.abs() > ROUNDING * size);
+        let by_pivot = pivots.iter().map(|&t| free[t]).zip(row).filter(|(_, e)| e.abs() > COEFFICIENT_ROUNDING * size);
         let own = (free[s], 1.0 / size);
         let terms: Vec<_> = std::iter::once(own).chain(by_pivot.map(|(at, e)| (at, -e / size))).collect();
         let value = terms.iter().map(|&(at, x)| x * self.constant[at]).sum();
@@ -116,14 +116,14 @@ pub(crate) fn member(map: &CovarianceMap, wanted: &DMatrix<f64>) -> DMatrix<f64>
     // in the metric tr(DD) an element off the diagonal counts twice
     let weight = |(i, j): (usize, usize)| if i == j { 1.0 } else { 0.5 };
     let metric = DVector::from_iterator(map.elements.count(), map.elements.all().map(weight));
-    let back = DMatrix::from_diagonal(&metric) * normals.transpose();
-    let solve = symmetric::pseudo_inverse(&(&normals * &back));
+    let transposed_normals = DMatrix::from_diagonal(&metric) * normals.transpose();
+    let solve = symmetric::pseudo_inverse(&(&normals * &transposed_normals));
     let mut sigma = wanted.clone();
-    for round in 0..ROUNDS {
-        let step = &back * (&solve * map.residual(&sigma));
+    for round in 0..MAX_PROJECTIONS {
+        let step = &transposed_normals * (&solve * map.residual(&sigma));
         sigma -= map.elements.unpack(&step);
         let own = sub(&sigma, &map.random);
-        let floor = if round < ROUNDS / 2 { INTERIOR } else { 0.0 };
+        let floor = if round < MAX_PROJECTIONS / 2 { INTERIOR_EIGENVALUE } else { 0.0 };
         let (size, values, vectors) = symmetric::scaled_eigen(&own);
         if values.first().is_none_or(|least| *least >= 0.5 * floor) {
             break;

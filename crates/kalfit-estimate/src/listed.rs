@@ -62,7 +62,7 @@ impl Listed {
 
     /// The list at another noise level: d and scatter are multiplied by `unit`, and `change` is added to the constant
     /// of each class.
-    pub(crate) fn shrunk(&self, unit: f64, change: impl Fn(usize) -> f64) -> Listed {
+    pub(crate) fn at_noise(&self, unit: f64, change: impl Fn(usize) -> f64) -> Listed {
         let mut listed = self.clone();
         listed.constants.iter_mut().enumerate().for_each(|(k, constant)| *constant += change(k));
         listed.means.scale(unit);

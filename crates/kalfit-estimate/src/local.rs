@@ -109,14 +109,14 @@ impl Tangent {
             jacobian,
             gradient: DVector::zeros(0),
             information: DMatrix::zeros(0, 0),
-            sizes: basis.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect(),
+            sizes: basis.columns().map(|c| natural_length(c.iter().map(|&(row, x)| (x, sizes[row])))).collect(),
             chart,
             basis,
             multipliers: multipliers.as_slice().to_vec(),
             residual_score,
         };
         tangent.gradient = tangent.pulled_back(mean_jacobian, &local.mean_score, &sigma_gradient);
-        tangent.inform(local, mean_jacobian);
+        tangent.set_information(local, mean_jacobian);
         tangent
     }
 
@@ -133,7 +133,7 @@ impl Tangent {
     }
 
     /// Computes the information along the basis.
-    pub(crate) fn inform(&mut self, local: &Local, mean_jacobian: &DMatrix<f64>) {
+    pub(crate) fn set_information(&mut self, local: &Local, mean_jacobian: &DMatrix<f64>) {
         let all = free_information(local, mean_jacobian, &self.chart, &self.jacobian, &self.residual_score);
         self.information = along(&self.basis, all);
     }
@@ -156,7 +156,7 @@ pub fn natural_sizes(root: &DMatrix<f64>) -> Vec<f64> {
 }
 
 /// Natural length of a step along Σ weight × coordinate: the smallest size counts most, as it does for information.
-pub fn harmonic(parts: impl Iterator<Item = (f64, f64)>) -> f64 {
+pub fn natural_length(parts: impl Iterator<Item = (f64, f64)>) -> f64 {
     let sum: f64 = parts.map(|(weight, size)| (weight / size).powi(2)).sum();
     if sum > 0.0 { sum.sqrt().recip() } else { 1.0 }
 }
@@ -171,8 +171,8 @@ fn coordinate_sizes(
     let sizes = natural_sizes(root);
     // a regression coefficient, whose covariates are of size one, has the size of the state that it acts on
     let of = |i: usize| sizes[if i < sizes.len() { i } else { regressors[i - sizes.len()] }];
-    let mean = mean_jacobian.column_iter().map(|c| harmonic(c.iter().enumerate().map(|(i, x)| (*x, of(i)))));
-    let psi = chart.coordinates.iter().map(|entries| harmonic(entries.iter().map(|&(i, _, x)| (x, sizes[i]))));
+    let mean = mean_jacobian.column_iter().map(|c| natural_length(c.iter().enumerate().map(|(i, x)| (*x, of(i)))));
+    let psi = chart.coordinates.iter().map(|entries| natural_length(entries.iter().map(|&(i, _, x)| (x, sizes[i]))));
     mean.chain(psi).collect()
 }
 
@@ -200,20 +200,20 @@ fn multipliers(
         return DVector::zeros(0);
     }
     let mut found = symmetric::pseudo_solve(&(normals * normals.transpose()), &(normals * gradient));
-    let numb: Vec<usize> = (0..normals.nrows()).filter(|&m| normals.row(m).amax() == 0.0).collect();
-    if !numb.is_empty() {
+    let inactive: Vec<usize> = (0..normals.nrows()).filter(|&m| normals.row(m).amax() == 0.0).collect();
+    if !inactive.is_empty() {
         // along the constraint, elements grow in the ratio of its coefficients: these sizes give their parts of the
         // score equal weight
         let mut size = DVector::from_element(score.len(), 1.0);
-        for &m in &numb {
+        for &m in &inactive {
             if let [(i, j, x), (k, l, y)] = constraints[m].terms[..] {
                 size[elements.index(k, l)] = size[elements.index(i, j)] * (x / y).abs();
             }
         }
-        let own = in_sigma.select_rows(&numb) * DMatrix::from_diagonal(&size);
+        let own = in_sigma.select_rows(&inactive) * DMatrix::from_diagonal(&size);
         let left = (score - in_sigma.transpose() * &found).component_mul(&size);
         let shared = symmetric::pseudo_solve(&(&own * own.transpose()), &(&own * left));
-        numb.iter().zip(shared.iter()).for_each(|(&m, share)| found[m] = *share);
+        inactive.iter().zip(shared.iter()).for_each(|(&m, share)| found[m] = *share);
     }
     found
 }
@@ -287,10 +287,10 @@ mod tests {
     /// The length satisfies 1/length² = Σ (weight/size)², and is one where all weights are zero.
     #[test]
     fn the_smallest_size_counts_most() {
-        let found = harmonic([(2.0, 1.0), (3.0, 0.5), (0.0, 1e-9)].into_iter());
+        let found = natural_length([(2.0, 1.0), (3.0, 0.5), (0.0, 1e-9)].into_iter());
         let expected = 1.0 / f64::sqrt(4.0 + 36.0);
         assert!((found - expected).abs() < 1e-15, "{found} {expected}");
-        assert_eq!(harmonic([(0.0, 3.0)].into_iter()), 1.0);
-        assert_eq!(harmonic(std::iter::empty()), 1.0);
+        assert_eq!(natural_length([(0.0, 3.0)].into_iter()), 1.0);
+        assert_eq!(natural_length(std::iter::empty()), 1.0);
     }
 }

@@ -37,7 +37,7 @@ pub(crate) fn marginal(reduction: ReductionRef<'_>, states: usize) -> Option<Red
         part
     });
     let chain = Chain { phases: parts.collect() };
-    let (data, factor) = side_by_side(&chain, states);
+    let (data, factor) = block_diagonal(&chain, states);
     let constant = chain.phases.iter().map(|phase| phase.constant).sum();
     Some(Reduction { constant, residual: None, data, factor, chain: Some(Box::new(chain)), ..reduction.into() })
 }
@@ -54,13 +54,13 @@ impl Difference {
         let own = unpack(&phase.factor, phase.data.len());
         let data = DVector::from_column_slice(&phase.data);
         match (before, &phase.link) {
-            (Some(before), Some(link)) => Difference::left(before, link, (own, data)),
+            (Some(before), Some(link)) => Difference::remainder(before, link, (own, data)),
             _ => Difference::on_its_range(&own, own.clone(), data),
         }
     }
 
     /// The difference from both phases' rows, with σ of the phase before projected out.
-    fn left(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
+    fn remainder(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
         let (earlier, q) = (unpack(&before.factor, before.data.len()), own.nrows());
         let from = earlier.nrows();
         let spread = Rotations::<f64>::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
@@ -74,8 +74,8 @@ impl Difference {
         all.view_mut((0, 0), (from, from)).copy_from(&earlier);
         all.view_mut((0, from + q), (from, 1)).copy_from_slice(&before.data);
         (0..q).for_each(|i| (0..from + q + 1).for_each(|k| all[(from + i, k)] = whitened[(i, k)]));
-        let told = all.columns(0, from).clone_owned();
-        let range = range(&told, &told);
+        let earlier_columns = all.columns(0, from).clone_owned();
+        let range = range(&earlier_columns, &earlier_columns);
         let rest = all.columns(from, q + 1).clone_owned();
         let kept = &rest - &range * (range.transpose() * &rest);
         let full = rest.columns(0, q).clone_owned();
@@ -101,8 +101,8 @@ impl Difference {
         let rows = self.factor.nrows();
         let entry = |i: usize, k: usize| if k < own { self.factor[(i, k)] } else { self.data[i] };
         let mut upper = Rows::zeros(own, own + 1);
-        let left = Rotations::absorb(&mut upper, Rows::from_fn(rows, own + 1, entry), own);
-        let residual: f64 = (0..left.nrows()).map(|i| left[(i, own)].powi(2)).sum();
+        let remainder = Rotations::absorb(&mut upper, Rows::from_fn(rows, own + 1, entry), own);
+        let residual: f64 = (0..remainder.nrows()).map(|i| remainder[(i, own)].powi(2)).sum();
         let places = (0..own).flat_map(|k| (0..=k).map(move |i| (i, k)));
         let nothing = |from: usize| Link {
             mean: DVector::zeros(own),
@@ -122,11 +122,11 @@ impl Difference {
 
 /// An orthonormal basis of the column space, with each column in units of the norm of that column of `full`.
 fn range(a: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
-    let seen: Vec<usize> = (0..a.ncols()).filter(|&k| full.column(k).norm() > 0.0).collect();
-    if seen.is_empty() {
+    let nonzero: Vec<usize> = (0..a.ncols()).filter(|&k| full.column(k).norm() > 0.0).collect();
+    if nonzero.is_empty() {
         return DMatrix::zeros(a.nrows(), 0);
     }
-    let unit = DMatrix::from_fn(a.nrows(), seen.len(), |i, c| a[(i, seen[c])] / full.column(seen[c]).norm());
+    let unit = DMatrix::from_fn(a.nrows(), nonzero.len(), |i, c| a[(i, nonzero[c])] / full.column(nonzero[c]).norm());
     let decomposed = unit.svd(true, false);
     let vectors = decomposed.u.expect("asked for");
     let is_kept = |&k: &usize| decomposed.singular_values[k] > RANK_TOLERANCE;
@@ -135,7 +135,7 @@ fn range(a: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// d and packed R of all phases together, with zeros between phases.
-fn side_by_side(chain: &Chain, states: usize) -> (Vec<f64>, Vec<f64>) {
+fn block_diagonal(chain: &Chain, states: usize) -> (Vec<f64>, Vec<f64>) {
     let mut data: Vec<f64> = chain.phases.iter().flat_map(|phase| phase.data.iter().copied()).collect();
     data.resize(states, 0.0);
     let mut factor = vec![0.0; states * (states + 1) / 2];

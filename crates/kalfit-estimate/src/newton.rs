@@ -49,8 +49,8 @@ impl NewtonIterate {
         let tangent = Tangent::new(&local, mean_jacobian, map, &point.root);
         point.root = tangent.chart.root.clone();
         let curvature = Curvature::new(&tangent);
-        let place = NewtonIterate { point, local, tangent, curvature };
-        place.decrement().is_finite().then_some(place)
+        let iterate = NewtonIterate { point, local, tangent, curvature };
+        iterate.decrement().is_finite().then_some(iterate)
     }
 
     /// The covariance of the free mean coordinates, where it is known: evaluations at nearby points may reuse it.
@@ -65,41 +65,41 @@ impl NewtonIterate {
     /// The successor of this iterate, if `make` returns one. Meanwhile large matrices of this iterate are put aside:
     /// those by elements of Σ are stored in half their memory, those that follow from them are dropped. They are
     /// restored where `make` returns none; after a success this iterate must not be used any more.
-    pub(crate) fn surpassed(
+    pub(crate) fn try_successor(
         &mut self,
         objective: &dyn Objective,
         make: impl FnOnce(&NewtonIterate) -> Option<NewtonIterate>,
     ) -> Option<NewtonIterate> {
-        self.slim();
-        let own = Arc::get_mut(&mut self.local.information).filter(|own| own.nrows() >= LARGE);
+        self.drop_information();
+        let own = Arc::get_mut(&mut self.local.information).filter(|own| own.nrows() >= LARGE_ROWS);
         let folded = own.map(|own| Folded::of(std::mem::replace(own, DMatrix::zeros(0, 0))));
         let next = make(self);
         if next.is_none() {
             if let Some(folded) = folded {
                 self.local.information = Arc::new(folded.unfolded());
             }
-            self.restore(objective);
+            self.recompute_information(objective);
         }
         next
     }
 
     /// Drops the information along the tangent basis if it is large: it can be computed again.
-    pub(crate) fn slim(&mut self) {
-        if self.tangent.information.nrows() >= LARGE {
+    pub(crate) fn drop_information(&mut self) {
+        if self.tangent.information.nrows() >= LARGE_ROWS {
             self.tangent.information = DMatrix::zeros(0, 0);
         }
     }
 
     /// Computes the information along the tangent basis again if it was dropped.
-    pub(crate) fn restore(&mut self, objective: &dyn Objective) {
+    pub(crate) fn recompute_information(&mut self, objective: &dyn Objective) {
         if self.tangent.information.is_empty() {
-            self.tangent.inform(&self.local, objective.mean_jacobian());
+            self.tangent.set_information(&self.local, objective.mean_jacobian());
         }
     }
 }
 
 /// Number of rows from which on a matrix counts as large.
-const LARGE: usize = 500;
+const LARGE_ROWS: usize = 500;
 
 /// The outcome of an attempted step.
 pub(crate) enum Attempt {
@@ -109,7 +109,7 @@ pub(crate) enum Attempt {
     Failed,
     /// The step promised less than the rounding errors of the value, and the value fell: it cannot distinguish steps
     /// any more.
-    Blind,
+    BelowRounding,
 }
 
 /// Levenberg damping, carried over from step to step.
@@ -117,7 +117,7 @@ pub(crate) enum Attempt {
 pub(crate) struct Damping(f64);
 
 /// Maximum number of tries of one step, each with more damping, before the safeguard takes over.
-const TRIES: usize = 6;
+const MAX_ATTEMPTS: usize = 6;
 
 impl Damping {
     /// Steps from an iterate, with more damping until the value rises. After a better iterate is returned, the old one
@@ -126,28 +126,28 @@ impl Damping {
         &mut self,
         objective: &dyn Objective,
         map: &CovarianceMap,
-        place: &mut NewtonIterate,
+        iterate: &mut NewtonIterate,
     ) -> Attempt {
-        let slack = 1e-13 * place.local.value.abs().max(1.0);
-        self.0 = self.0.max(place.curvature.doubtful());
-        for _ in 0..TRIES {
-            let (step, promised) = place.curvature.step(&place.tangent.information, self.0);
-            let point = moved(objective, map, place, &step);
+        let slack = 1e-13 * iterate.local.value.abs().max(1.0);
+        self.0 = self.0.max(iterate.curvature.nonconcave_damping());
+        for _ in 0..MAX_ATTEMPTS {
+            let (step, promised) = iterate.curvature.step(&iterate.tangent.information, self.0);
+            let point = moved(objective, map, iterate, &step);
             let mut gain = None;
-            let next = place.surpassed(objective, |place| {
-                let next = NewtonIterate::new(objective, map, point?, place.near())?;
-                let gain = *gain.insert(next.local.value - place.local.value);
+            let next = iterate.try_successor(objective, |iterate| {
+                let next = NewtonIterate::new(objective, map, point?, iterate.near())?;
+                let gain = *gain.insert(next.local.value - iterate.local.value);
                 (gain >= -slack && (gain >= 0.05 * promised || promised <= slack)).then_some(next)
             });
             let gain = gain.unwrap_or(f64::NEG_INFINITY);
             if let Some(next) = next {
-                self.judge(gain / promised);
+                self.adapt(gain / promised);
                 return Attempt::Better(Box::new(next));
             }
             if gain > f64::NEG_INFINITY && promised <= slack {
-                return Attempt::Blind;
+                return Attempt::BelowRounding;
             }
-            self.0 = place.curvature.shorter(&place.tangent.information, self.0, gain);
+            self.0 = iterate.curvature.damping_after_failure(&iterate.tangent.information, self.0, gain);
         }
         Attempt::Failed
     }
@@ -155,7 +155,7 @@ impl Damping {
 
 impl Damping {
     /// Reduces the damping after a step that gained what it promised, raises it after one that did not.
-    fn judge(&mut self, ratio: f64) {
+    fn adapt(&mut self, ratio: f64) {
         if ratio > 0.75 {
             self.0 *= 0.1;
         } else if ratio < 0.25 {
@@ -171,14 +171,14 @@ impl Damping {
 pub(crate) fn moved(
     objective: &dyn Objective,
     map: &CovarianceMap,
-    place: &NewtonIterate,
+    iterate: &NewtonIterate,
     step: &DVector<f64>,
 ) -> Option<Point> {
-    let free = place.tangent.basis.times(step);
-    let q = place.tangent.mean;
-    let mut point = objective.move_mean(&place.point, &free.as_slice()[..q]);
+    let free = iterate.tangent.basis.times(step);
+    let q = iterate.tangent.mean;
+    let mut point = objective.move_mean(&iterate.point, &free.as_slice()[..q]);
     let step = free.rows(q, free.len() - q).clone_owned();
-    point.root = retract(map, &place.tangent.chart, step)?;
+    point.root = retract(map, &iterate.tangent.chart, step)?;
     Some(point)
 }
 
@@ -186,8 +186,8 @@ impl CovarianceMap {
     /// A nearby root F whose FF' meets the constraints, if one is found.
     pub fn onto(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let chart = self.chart(root);
-        let still = DVector::zeros(chart.coordinates.len());
-        retract(self, &chart, still)
+        let no_step = DVector::zeros(chart.coordinates.len());
+        retract(self, &chart, no_step)
     }
 }
 
@@ -227,12 +227,12 @@ mod tests {
         slope: f64,
         value: F,
         jacobian: DMatrix<f64>,
-        asked: RefCell<Vec<f64>>,
+        evaluated: RefCell<Vec<f64>>,
     }
 
     impl<F: Fn(f64) -> Option<f64>> Objective for LineStep<F> {
         fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
-            self.asked.borrow_mut().push(point.mean[0]);
+            self.evaluated.borrow_mut().push(point.mean[0]);
             let zero = || DMatrix::zeros(1, 1);
             Some(Local {
                 value: (self.value)(point.mean[0])?,
@@ -257,7 +257,7 @@ mod tests {
 
     /// One attempt from zero with the given damping: its outcome, the damping afterwards, and the points of evaluation.
     fn attempt(slope: f64, damping: f64, value: impl Fn(f64) -> Option<f64>) -> (Attempt, f64, Vec<f64>) {
-        let objective = LineStep { slope, value, jacobian: DMatrix::identity(1, 1), asked: RefCell::default() };
+        let objective = LineStep { slope, value, jacobian: DMatrix::identity(1, 1), evaluated: RefCell::default() };
         let fixed =
             PhaseForm { states: 0..1, form: CoordinateForm::Fixed(DMatrix::zeros(1, 1)), linear: false, start: None };
         let map = CovarianceMap {
@@ -269,18 +269,18 @@ mod tests {
             elements: Elements::single(1),
         };
         let point = Point { mean: vec![0.0], coefficients: Vec::new(), root: DMatrix::zeros(1, 1) };
-        let mut place = NewtonIterate::new(&objective, &map, point, None).expect("a finite place");
-        objective.asked.borrow_mut().clear();
+        let mut iterate = NewtonIterate::new(&objective, &map, point, None).expect("a finite place");
+        objective.evaluated.borrow_mut().clear();
         let mut damping = Damping(damping);
-        let end = damping.attempt(&objective, &map, &mut place);
-        (end, damping.0, objective.asked.into_inner())
+        let end = damping.attempt(&objective, &map, &mut iterate);
+        (end, damping.0, objective.evaluated.into_inner())
     }
 
     fn better(end: &Attempt) -> f64 {
         match end {
-            Attempt::Better(place) => place.point.mean[0],
+            Attempt::Better(iterate) => iterate.point.mean[0],
             Attempt::Failed => panic!("no step was good"),
-            Attempt::Blind => panic!("no step was promising"),
+            Attempt::BelowRounding => panic!("no step was promising"),
         }
     }
 
@@ -289,35 +289,35 @@ mod tests {
         // the whole step promises ½
         let far = |part: f64| move |x: f64| Some(if x > 0.9 { 0.5 * part } else { 0.4 * x });
         for (part, accepted) in [(0.051, true), (0.049, false), (-0.2, false), (0.9, true)] {
-            let (end, _, asked) = attempt(1.0, 0.0, far(part));
-            assert!((asked[0] - 1.0).abs() < 1e-12, "{asked:?}: the whole step first");
-            assert_eq!(asked.len() == 1, accepted, "{part}: {asked:?}");
+            let (end, _, evaluated) = attempt(1.0, 0.0, far(part));
+            assert!((evaluated[0] - 1.0).abs() < 1e-12, "{evaluated:?}: the whole step first");
+            assert_eq!(evaluated.len() == 1, accepted, "{part}: {evaluated:?}");
             assert_eq!((better(&end) - 1.0).abs() < 1e-12, accepted, "{part}: {}", better(&end));
         }
     }
 
     #[test]
     fn steps_grow_shorter_until_one_is_good() {
-        let (end, damping, asked) = attempt(1.0, 0.0, |x| Some(if x > 0.1 { -1.0 } else { x }));
+        let (end, damping, evaluated) = attempt(1.0, 0.0, |x| Some(if x > 0.1 { -1.0 } else { x }));
         assert!(better(&end) > 0.02 && better(&end) <= 0.1, "{}", better(&end));
-        assert!(asked.windows(2).all(|two| two[1] < 0.51 * two[0] && two[1] > 0.24 * two[0]), "{asked:?}");
+        assert!(evaluated.windows(2).all(|two| two[1] < 0.51 * two[0] && two[1] > 0.24 * two[0]), "{evaluated:?}");
         assert!(damping > 1.0, "{damping}: what helped is remembered");
         // where there is no value at all, each step is a quarter of the one before
-        let (_, _, asked) = attempt(1.0, 0.0, |x| (x < 0.1).then_some(x));
-        assert!(asked.windows(2).all(|two| (two[1] / two[0] - 0.25).abs() < 1e-3), "{asked:?}");
+        let (_, _, evaluated) = attempt(1.0, 0.0, |x| (x < 0.1).then_some(x));
+        assert!(evaluated.windows(2).all(|two| (two[1] / two[0] - 0.25).abs() < 1e-3), "{evaluated:?}");
         // no step is good
-        let (end, _, asked) = attempt(1.0, 0.0, |x| Some(-x.abs()));
+        let (end, _, evaluated) = attempt(1.0, 0.0, |x| Some(-x.abs()));
         assert!(matches!(end, Attempt::Failed), "all fall");
-        assert_eq!(asked.len(), TRIES, "{asked:?}");
+        assert_eq!(evaluated.len(), MAX_ATTEMPTS, "{evaluated:?}");
     }
 
     #[test]
     fn what_promises_less_than_rounding_is_blind() {
         // the promise ½ slope² is compared with 1e-13; the second try is a quarter as long and promises less than half
         // as much
-        for (slope, blind, tries) in [(4e-7, true, 1), (5e-7, true, 2), (1e-3, false, TRIES)] {
-            let (end, _, asked) = attempt(slope, 0.0, |x| Some(-x.abs()));
-            assert_eq!((matches!(end, Attempt::Blind), asked.len()), (blind, tries), "{slope}: {asked:?}");
+        for (slope, blind, tries) in [(4e-7, true, 1), (5e-7, true, 2), (1e-3, false, MAX_ATTEMPTS)] {
+            let (end, _, evaluated) = attempt(slope, 0.0, |x| Some(-x.abs()));
+            assert_eq!((matches!(end, Attempt::BelowRounding), evaluated.len()), (blind, tries), "{slope}: {evaluated:?}");
         }
         // a step whose value falls by less than 1e-13 is not refused
         let (end, ..) = attempt(4e-7, 0.0, |x| Some(if x == 0.0 { 0.0 } else { -0.9e-13 }));

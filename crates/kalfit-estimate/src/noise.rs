@@ -30,24 +30,24 @@ use kalfit_model::{Population, StructureError};
 
 /// Tests in one phase, with or without groups, whose noise can be scaled; with groups, Σ is that of every level.
 #[derive(Debug)]
-pub struct Noisy {
+pub struct ScalableNoise {
     /// Classes at λ = 1.
     classes: Classes,
     /// Residual of each class.
-    told: Arc<Vec<Residual>>,
+    residuals: Arc<Vec<Residual>>,
     all: Residual,
 }
 
-impl Noisy {
+impl ScalableNoise {
     /// From reductions at λ = 1, of which each says what it knows of the level of the noise.
-    pub fn new(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Noisy, FitError> {
+    pub fn new(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<ScalableNoise, FitError> {
         let classes = problem(reductions, structure, settings)?.classes;
-        let sum = |told: &mut dyn Iterator<Item = Residual>| told.fold(Residual::default(), Residual::and);
+        let sum = |residuals: &mut dyn Iterator<Item = Residual>| residuals.fold(Residual::default(), Residual::and);
         let of_test = |&j: &usize| Residual::of(reductions, j);
-        let told: Vec<Residual> =
+        let residuals: Vec<Residual> =
             (0..classes.len()).map(|k| sum(&mut classes.tests_of(k).iter().map(of_test))).collect();
-        let all = sum(&mut told.iter().copied());
-        Ok(Noisy { classes, told: Arc::new(told), all })
+        let all = sum(&mut residuals.iter().copied());
+        Ok(ScalableNoise { classes, residuals: Arc::new(residuals), all })
     }
 
     /// The best (μ, Σ) with all noise variances multiplied by λ, from nearby values if they are given.
@@ -58,7 +58,7 @@ impl Noisy {
         near: Option<&Population>,
         settings: &Settings,
     ) -> Result<Estimate, FitError> {
-        let classes = self.classes.with_noise(variance, &self.told);
+        let classes = self.classes.with_noise(variance, &self.residuals);
         let problem = Problem::of(classes, structure, settings.criterion)?;
         let start = near.map_or(Beginning::Open, Beginning::Near);
         Search::new(problem, settings, &mut Silent).run(start, structure)
@@ -107,8 +107,8 @@ impl FinalState {
 
 impl FinalState {
     /// The state with its classes as those of reductions of the same tests.
-    pub fn grounded(self, reductions: &Reductions) -> Result<FinalState, StructureError> {
-        let problem = match self.problem.classes.grounded(reductions) {
+    pub fn with_reductions(self, reductions: &Reductions) -> Result<FinalState, StructureError> {
+        let problem = match self.problem.classes.with_reductions(reductions) {
             Some(classes) => Problem::of(classes, &self.structure(), self.problem.criterion())?,
             None => Problem::within(&self.evidence(reductions), &self.structure(), &self.problem)?,
         };
@@ -176,7 +176,7 @@ mod tests {
             let reductions = reductions.clone().with_covariates(&[0][..mean.regression.len()]);
             for criterion in [Criterion::Ml, Criterion::Reml] {
                 let settings = Settings { criterion, ..Settings::default() };
-                let noisy = Noisy::new(&reductions, &structure, &settings).expect("sound");
+                let noisy = ScalableNoise::new(&reductions, &structure, &settings).expect("sound");
                 assert!(!noisy.classes.unbatched.is_empty() && noisy.classes.len() < 40, "of all kinds");
                 let direct = |variance: f64, near: Option<&Population>| {
                     let there: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
@@ -206,9 +206,9 @@ mod tests {
                     let slope = noisy.slope(variance, &found.state);
                     assert!((slope - by_differences).abs() < 1e-5 * (1.0 + slope.abs()), "{slope} {by_differences}");
                     let all: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
-                    let grounded = found.state.clone().grounded(&all).expect("sound");
+                    let with_reductions = found.state.clone().with_reductions(&all).expect("sound");
                     let again =
-                        grounded.problem.sums(&grounded.newton_iterate.point, Order::First, None).expect("defined");
+                        with_reductions.problem.sums(&with_reductions.newton_iterate.point, Order::First, None).expect("defined");
                     assert!(near(again.value, found.log_likelihood), "{} {}", again.value, found.log_likelihood);
                 }
             }

@@ -9,18 +9,18 @@ use kalfit_algebra::symmetric::pairs;
 pub use kalfit_model::remote::Detail as Order;
 
 /// Bytes that the sums of all tasks of a pass may occupy at the same time, if there are several tasks.
-const ROOM: usize = 64 << 20;
+const SUMS_BYTES: usize = 64 << 20;
 
 /// Maximum number of tasks of a pass over p states: each task has separate sums, two matrices over pairs of states. A
 /// task with many states is itself split over several threads.
-pub(crate) fn most_tasks(p: usize) -> usize {
-    (ROOM / (16 * pairs(p).pow(2)).max(1)).max(1)
+pub(crate) fn max_tasks(p: usize) -> usize {
+    (SUMS_BYTES / (16 * pairs(p).pow(2)).max(1)).max(1)
 }
 
 /// Number of matrices over all elements of Σ that a fit holds at the same time, as measured.
-const MATRICES: u64 = 5;
+const FULL_MATRICES: u64 = 5;
 /// Number of matrices over the elements between two blocks that a fit holds at the same time, as measured.
-const BETWEEN: u64 = 4;
+const BETWEEN_MATRICES: u64 = 4;
 
 /// Approximate number of bytes that a fit needs for second derivatives by the elements of Σ, from the number of states
 /// in each block. Memory for the tests comes on top.
@@ -29,7 +29,7 @@ pub fn memory(blocks: &[usize]) -> u64 {
     let elements = blocks.iter().map(|&p| pairs(p)).fold(0, usize::saturating_add);
     let pairs_of_blocks = blocks.iter().enumerate().flat_map(|(f, p)| blocks[..f].iter().map(move |q| p * q));
     let between = pairs_of_blocks.map(square).fold(0, u64::saturating_add);
-    (square(elements).saturating_mul(MATRICES)).saturating_add(between.saturating_mul(BETWEEN)).saturating_mul(8)
+    (square(elements).saturating_mul(FULL_MATRICES)).saturating_add(between.saturating_mul(BETWEEN_MATRICES)).saturating_mul(8)
 }
 
 /// Input of the restricted likelihood for every class: X = E × jacobian, the derivative of the mean by its free

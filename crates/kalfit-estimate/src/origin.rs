@@ -24,9 +24,9 @@ impl Classes {
             return pass(self, regressors, &self.origin(regressors.len()), Order::Mean, None).mean_information;
         }
         let mut information = DMatrix::zeros(p + regressors.len(), p + regressors.len());
-        let mut room = Class::default();
+        let mut buffer = Class::default();
         for number in 0..self.len() {
-            let class = self.get(number, &mut room);
+            let class = self.get(number, &mut buffer);
             let column = |m: usize| if m < p { (m, 1.0) } else { (regressors[m - p], class.covariates[m - p]) };
             let rows = DMatrix::from_fn(class.mean.len(), p + regressors.len(), |i, m| {
                 let (k, x) = column(m);
@@ -55,17 +55,17 @@ impl Classes {
         }
         let (mut excess, mut weight) = (DVector::zeros(p), DVector::zeros(p));
         let mut add = |count: f64, each: &[(f64, f64)]| {
-            for (i, (own_excess, own)) in each.iter().enumerate() {
-                excess[i] += own_excess;
+            for (i, (class_excess, own)) in each.iter().enumerate() {
+                excess[i] += class_excess;
                 weight[i] += count * own * own;
             }
         };
         if self.is_chained() {
             self.chained_excesses(mean).iter().for_each(|(count, each)| add(*count, each));
         } else {
-            let (mut room, mut each) = (Class::default(), Vec::new());
+            let (mut buffer, mut each) = (Class::default(), Vec::new());
             for number in 0..self.len() {
-                let class = self.get(number, &mut room);
+                let class = self.get(number, &mut buffer);
                 class.excess(mean.as_slice(), &mut each);
                 add(class.count, &each);
             }
@@ -77,14 +77,14 @@ impl Classes {
     fn chained_excesses(&self, mean: &DVector<f64>) -> Vec<Excess> {
         let p = mean.len();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-        let of = |told: &mut Vec<(usize, Excess)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
+        let of = |class_excesses: &mut Vec<(usize, Excess)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
             let one = |at: usize| (terms.outer[at] - class.count * terms.W[at], terms.W[at]);
-            told.push((k, (class.count, (0..p).map(|i| one(i * p + i)).collect())));
+            class_excesses.push((k, (class.count, (0..p).map(|i| one(i * p + i)).collect())));
         };
         let parts = map_classes(self, &[], &point, ChainDetail::Phases, &Vec::new, &of);
-        let mut told: Vec<(usize, Excess)> = parts.into_iter().flatten().collect();
-        told.sort_unstable_by_key(|(k, _)| *k);
-        told.into_iter().map(|(_, told)| told).collect()
+        let mut class_excesses: Vec<(usize, Excess)> = parts.into_iter().flatten().collect();
+        class_excesses.sort_unstable_by_key(|(k, _)| *k);
+        class_excesses.into_iter().map(|(_, class_excesses)| class_excesses).collect()
     }
 
     /// Whether some classes are stored phase by phase.

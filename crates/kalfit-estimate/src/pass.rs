@@ -11,17 +11,17 @@ use crate::classes::Classes;
 use crate::lanes::{Accumulator, ChainKernel, ChainSums, ClassEvaluator, ClassSums, InPhases};
 use crate::levels;
 use crate::order::Order;
-use crate::order::{FlatMean, SumsWanted, most_tasks};
+use crate::order::{FlatMean, SumsWanted, max_tasks};
 use crate::point::{Point, Regressors};
 use crate::remote;
-use crate::sums::{OfLevels, Sums};
+use crate::sums::{GroupDerivatives, Sums};
 use kalfit_algebra::elements::Elements;
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
-const CHUNK: usize = 128;
+const CLASSES_PER_TASK: usize = 128;
 
 /// Maximum number of tasks that tests in phases are split into: each needs much memory for second derivatives.
-const CHAIN_TASKS: usize = 16;
+const MAX_CHAIN_TASKS: usize = 16;
 
 impl SumsWanted<'_> {
     pub(super) fn zero(&self) -> Sums {
@@ -34,7 +34,7 @@ impl SumsWanted<'_> {
         let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
         let of = |rows: usize| DMatrix::zeros(if second > 0 { rows } else { 0 }, second);
         let coordinates = zero.mean_score.len();
-        zero.of_levels = Some(OfLevels { observed: of(second), cross: of(coordinates), expected: of(second) });
+        zero.group_derivatives = Some(GroupDerivatives { observed: of(second), cross: of(coordinates), expected: of(second) });
         zero
     }
 
@@ -73,11 +73,11 @@ pub(crate) fn pass(
 }
 
 /// The value that stands for ℓ = -∞ in sums that are sent and added up.
-const NO_LIKELIHOOD: f64 = -1e300;
+const SENT_MINUS_INFINITY: f64 = -1e300;
 
 /// A pass whose sums are sent to a search elsewhere. Such a search also requests, at Σ = 0, the information of the
 /// tests on the mean, where ℓ is -∞ if something is measured exactly.
-pub(super) fn told_pass(
+pub(super) fn pass_for_remote(
     classes: &Classes,
     regressors: &Regressors,
     point: &Point,
@@ -89,7 +89,7 @@ pub(super) fn told_pass(
     }
     let wanted = wanted(&classes.elements, regressors, order, flat);
     let mut sums = wanted.zero();
-    (sums.value, sums.mean_information) = (NO_LIKELIHOOD, classes.mean_information(regressors));
+    (sums.value, sums.mean_information) = (SENT_MINUS_INFINITY, classes.mean_information(regressors));
     sums
 }
 
@@ -97,7 +97,7 @@ pub(super) fn told_pass(
 fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
     let of = |blocks: &[Arc<Packed>]| isa.run(ChainKernel { blocks, classes: &classes.listed, point, wanted });
-    let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
+    let each = classes.chains.len().div_ceil(MAX_CHAIN_TASKS).max(CLASSES_PER_TASK / isa.lanes());
     let all: Vec<ChainSums> = classes.chains.par_chunks(each).map(of).collect();
     let mut left = Vec::new();
     for ChainSums { totals, constant, refused } in all {
@@ -122,7 +122,7 @@ pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWa
         }
         (chunk.iter().map(|class| class.constant).sum(), sums.totals())
     };
-    let each = CHUNK.max(classes.len().div_ceil(most_tasks(wanted.elements.states())));
+    let each = CLASSES_PER_TASK.max(classes.len().div_ceil(max_tasks(wanted.elements.states())));
     let chunks: Vec<(f64, ClassSums)> = classes.par_chunks(each).map(of_chunk).collect();
     let mut sums = wanted.zero();
     for (constant, totals) in chunks {

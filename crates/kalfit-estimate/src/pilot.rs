@@ -8,17 +8,17 @@ use crate::problem::Problem;
 use crate::{Criterion, FitError, Structure};
 
 /// Smallest number of classes in a pilot.
-const CLASSES: usize = 512;
+const MIN_CLASSES: usize = 512;
 /// Smallest number of classes in a pilot for each free coordinate of (μ, Σ).
-const EACH: usize = 6;
+const CLASSES_PER_COORDINATE: usize = 6;
 /// A pilot holds at most one in this many of all classes.
-const PART: usize = 8;
+const MIN_THINNING: usize = 8;
 
 /// The problem of a subset of the classes, in the same coordinates; `None` where the classes are too few to make it
 /// worthwhile.
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
-    let wanted = CLASSES.max(EACH * coordinates);
+    let wanted = MIN_CLASSES.max(CLASSES_PER_COORDINATE * coordinates);
     // tests in groups are selected by whole units; their restricted likelihood would need all designs
     let all = match &whole.classes.units {
         Some(_) if whole.criterion() == Criterion::Reml => return Ok(None),
@@ -26,7 +26,7 @@ pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Opti
         None => whole.classes.len(),
     };
     let every = all / wanted;
-    if every < PART {
+    if every < MIN_THINNING {
         return Ok(None);
     }
     Ok(Some(Problem::of(whole.classes.thinned(every), structure, whole.criterion())?))

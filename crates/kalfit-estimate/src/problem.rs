@@ -32,7 +32,7 @@ pub struct Problem {
     restriction: Option<Restriction>,
     passes: AtomicUsize,
     /// Whether the search is near its end, so that the next point evaluated may be the last.
-    ending: AtomicBool,
+    near_end: AtomicBool,
     /// The last point evaluated near the end of the search, with its sums.
     last: Mutex<Option<(Point, Sums)>>,
 }
@@ -75,7 +75,7 @@ impl Problem {
             mean_jacobian,
             restriction,
             passes: AtomicUsize::new(0),
-            ending: AtomicBool::new(false),
+            near_end: AtomicBool::new(false),
             last: Mutex::new(None),
         })
     }
@@ -151,18 +151,18 @@ impl Problem {
 
     /// Sets whether the next point may be the last one, where the expected information is needed too: the same pass
     /// then computes it.
-    pub(crate) fn ends_soon(&self, soon: bool) {
-        self.ending.store(soon && self.restriction.is_none(), Ordering::Relaxed);
+    pub(crate) fn set_near_end(&self, soon: bool) {
+        self.near_end.store(soon && self.restriction.is_none(), Ordering::Relaxed);
     }
 
     /// The sums at the iterate where the search ends: one pass, unless the search has computed them already.
-    pub(crate) fn at_end(&self, place: &NewtonIterate) -> Option<Sums> {
+    pub(crate) fn at_end(&self, iterate: &NewtonIterate) -> Option<Sums> {
         let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
         match last {
-            Some((point, sums)) if point == place.point => Some(sums),
+            Some((point, sums)) if point == iterate.point => Some(sums),
             other => {
                 drop(other);
-                self.sums(&place.point, Order::Expected, None).map(Sums::at_rest)
+                self.sums(&iterate.point, Order::Expected, None).map(Sums::only_expected)
             }
         }
     }
@@ -253,18 +253,18 @@ pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 
 impl Objective for Problem {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
-        let ending = self.ending.load(Ordering::Relaxed);
+        let near_end = self.near_end.load(Ordering::Relaxed);
         // a request to remote tests costs one round, whatever its size
-        if !ending && (self.classes.remote.is_none() || self.restriction.is_some()) {
+        if !near_end && (self.classes.remote.is_none() || self.restriction.is_some()) {
             return Some(Local::of(&mut self.sums(point, Order::Second, near)?));
         }
         let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
         *last() = None; // its memory is needed
         let asked = || self.sums(point, Order::Expected, near);
-        let sums = if ending { self.with_score(point, asked) } else { asked() }?;
-        let mut sums = sums.settled();
+        let sums = if near_end { self.with_score(point, asked) } else { asked() }?;
+        let mut sums = sums.with_folded_expected();
         let local = Local::of(&mut sums);
-        *last() = Some((point.clone(), sums.at_rest()));
+        *last() = Some((point.clone(), sums.only_expected()));
         Some(local)
     }
 

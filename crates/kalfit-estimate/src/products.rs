@@ -27,7 +27,7 @@ impl ProductBlock {
         ProductBlock { shape: (rows, columns), sum: DMatrix::zeros(0, 0) }
     }
 
-    fn whole(&mut self) -> &mut DMatrix<f64> {
+    fn matrix_mut(&mut self) -> &mut DMatrix<f64> {
         if self.sum.is_empty() {
             self.sum = DMatrix::zeros(self.shape.0, self.shape.1);
         }
@@ -45,7 +45,7 @@ impl ProductBlock {
             self.sum = DMatrix::from_vec(rows, columns, sums);
             return self.sum.transpose_mut();
         }
-        let sum = self.whole();
+        let sum = self.matrix_mut();
         for (row, sums) in sums.chunks_exact(columns.max(1)).enumerate() {
             sum.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
         }
@@ -56,7 +56,7 @@ impl ProductBlocks {
     /// Adds the sums of another set of blocks, times a sign.
     pub(crate) fn add(&mut self, sign: f64, other: &ProductBlocks) {
         let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
-        added.for_each(|(own, other)| add_times(own.whole(), sign, &other.sum));
+        added.for_each(|(own, other)| add_times(own.matrix_mut(), sign, &other.sum));
     }
 
     /// Adds sums given by rows, one list for each block.
@@ -74,8 +74,8 @@ impl ProductBlocks {
     }
 
     /// All sums, block by block, as mutable references.
-    pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.0.iter_mut().flat_map(|block| block.whole().iter_mut())
+    pub(super) fn elements_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.0.iter_mut().flat_map(|block| block.matrix_mut().iter_mut())
     }
 }
 

@@ -11,11 +11,11 @@ use crate::local::natural_sizes;
 use kalfit_algebra::symmetric;
 
 /// Number of gradient steps at each sharpness.
-const STEPS: usize = 80;
+const STEPS_PER_SHARPNESS: usize = 80;
 /// Sharpness of the smooth maximum of the eigenvalues, times the largest element of the matrix.
 const SHARPNESS: [f64; 6] = [1.0, 4.0, 16.0, 64.0, 256.0, 1024.0];
 /// Squared effect on F, in natural sizes, below which a combination counts as having none.
-const NOTHING: f64 = 1e-9;
+const ZERO_EFFECT: f64 = 1e-9;
 
 /// Matrices Λ (p × p), combinations of the constraints, with ΛF = 0.
 pub(crate) fn undetermined(constraints: &[Constraint], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
@@ -35,7 +35,7 @@ pub(crate) fn undetermined(constraints: &[Constraint], root: &DMatrix<f64>) -> V
     let (values, vectors) = symmetric::eigen(&(effects.transpose() * &effects));
     let combined =
         |k: usize| matrices.iter().zip(vectors.column(k).iter()).fold(DMatrix::zeros(p, p), |sum, (m, v)| sum + m * *v);
-    (0..values.len()).filter(|&k| values[k] <= NOTHING).map(combined).collect()
+    (0..values.len()).filter(|&k| values[k] <= ZERO_EFFECT).map(combined).collect()
 }
 
 fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
@@ -60,7 +60,7 @@ pub(crate) fn relax(a: &DMatrix<f64>, free: &[DMatrix<f64>]) -> (DMatrix<f64>, D
     let mut now = a.clone();
     let mut least = f64::INFINITY;
     for sharpness in SHARPNESS.map(|s| s / size) {
-        for _ in 0..STEPS {
+        for _ in 0..STEPS_PER_SHARPNESS {
             let (largest, p) = density(&now, sharpness);
             if largest < least {
                 (least, best, proof) = (largest, now.clone(), p.clone());
@@ -87,7 +87,7 @@ fn orthonormal(free: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
     let n = free.len();
     let gram = DMatrix::from_fn(n, n, |a, b| free[a].component_mul(&free[b]).sum());
     let (values, vectors) = symmetric::eigen(&gram);
-    let floor = values.last().copied().unwrap_or(0.0) * NOTHING;
+    let floor = values.last().copied().unwrap_or(0.0) * ZERO_EFFECT;
     (0..n)
         .filter(|&k| values[k] > floor && values[k] > 0.0)
         .map(|k| {
@@ -111,19 +111,19 @@ mod tests {
         assert!((largest - 1.0).abs() < 0.02, "{largest} 1");
         assert!(p.component_mul(&s).sum().abs() < 0.2, "{p}");
         // two directions that can make all three eigenvalues equal, in rotated axes
-        let turn = DMatrix::from_fn(3, 3, |i, k| ((3 * i + 5 * k + 1) as f64).sin()).qr().q();
-        let seen = |diagonal: [f64; 3]| {
-            &turn * DMatrix::from_diagonal(&DVector::from_column_slice(&diagonal)) * turn.transpose()
+        let rotation = DMatrix::from_fn(3, 3, |i, k| ((3 * i + 5 * k + 1) as f64).sin()).qr().q();
+        let rotated = |diagonal: [f64; 3]| {
+            &rotation * DMatrix::from_diagonal(&DVector::from_column_slice(&diagonal)) * rotation.transpose()
         };
-        let free = [seen([1.0, -1.0, 0.0]), seen([0.5, 1.0, -1.5])];
+        let free = [rotated([1.0, -1.0, 0.0]), rotated([0.5, 1.0, -1.5])];
         for of in [[3.0_f64, -1.0, 0.4], [-2.0, 5.0, 0.0], [0.1, 0.2, -4.0]] {
             let (size, mean) = (of.iter().fold(0.0, |most: f64, x| most.max(x.abs())), of.iter().sum::<f64>() / 3.0);
-            let (best, p) = relax(&seen(of), &free);
+            let (best, p) = relax(&rotated(of), &free);
             let largest = *symmetric::eigen(&best).0.last().expect("three");
             assert!(largest >= mean - 1e-12 && largest < mean + 2e-3 * size, "{of:?}: {largest} {mean}");
             assert!((best.trace() - 3.0 * mean).abs() < 1e-12 * size, "only along the free ones: {best}");
             // P is a third of I
-            let bound = p.component_mul(&seen(of)).sum();
+            let bound = p.component_mul(&rotated(of)).sum();
             assert!((p.trace() - 1.0).abs() < 1e-12 && (bound - mean).abs() < 0.1 * size, "{of:?}: {bound} {mean}");
         }
         // a free direction with a trace makes the largest eigenvalue as negative as one likes

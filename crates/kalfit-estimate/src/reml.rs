@@ -125,8 +125,8 @@ fn curvature(half: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) ->
     let (q, rank) = half.shape();
     let mut y = DMatrix::zeros(rank * rank, elements.count());
     for (s, (k, l)) in elements.all().enumerate() {
-        let places = if k == l { 1.0 } else { 2.0 };
-        let slope = DMatrix::from_fn(q, q, |c, d| places * spread[(pair(c, d), s)]);
+        let multiplicity = if k == l { 1.0 } else { 2.0 };
+        let slope = DMatrix::from_fn(q, q, |c, d| multiplicity * spread[(pair(c, d), s)]);
         let along = half.transpose() * slope * half;
         y.column_mut(s).copy_from_slice(along.as_slice());
     }

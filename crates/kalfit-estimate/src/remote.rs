@@ -58,7 +58,7 @@ impl Counts {
 
 impl Classes {
     /// The classes of remote tests, in coordinates from the survey of all of them.
-    pub(super) fn afar(remote: &Remote, (elements, regressors): (Elements, usize), chained: bool) -> Classes {
+    pub(super) fn of_remote(remote: &Remote, (elements, regressors): (Elements, usize), chained: bool) -> Classes {
         let (blocks, sizes) = (elements.blocks().len(), (elements.states(), regressors));
         let told = || {
             let numbers = remote.ask(Question::Survey)?;
@@ -78,7 +78,7 @@ pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted
         jacobian: list(flat.jacobian),
         covariance: flat.covariance.map(list),
     });
-    let (frame, place) = (classes.frame.clone(), point.told());
+    let (frame, place) = (classes.frame.clone(), point.message());
     let answer = remote.ask(Question::Pass { frame, place, detail: wanted.order, flat });
     let zero = || if classes.units.is_some() { wanted.zero_in_groups() } else { wanted.zero() };
     answer.and_then(|numbers| zero().of_numbers(&numbers)).unwrap_or_else(|| zero().unknown())
@@ -94,7 +94,7 @@ pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DV
 
 impl Point {
     /// The point in the form that is sent to remote places.
-    pub(super) fn told(&self) -> Place {
+    pub(super) fn message(&self) -> Place {
         Place { mean: self.mean.clone(), coefficients: self.coefficients.clone(), root: list(&self.root) }
     }
 }

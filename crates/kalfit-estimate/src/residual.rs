@@ -36,7 +36,7 @@ impl Residual {
 pub(crate) struct NoiseScale {
     pub(crate) variance: f64,
     /// Residual of each class.
-    pub(crate) told: Arc<Vec<Residual>>,
+    pub(crate) residuals: Arc<Vec<Residual>>,
 }
 
 impl NoiseScale {
@@ -47,6 +47,6 @@ impl NoiseScale {
 
     /// Change of the constant of a class.
     pub(crate) fn change(&self, class: usize) -> f64 {
-        self.told[class].change(self.variance)
+        self.residuals[class].change(self.variance)
     }
 }

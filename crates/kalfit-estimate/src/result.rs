@@ -15,7 +15,7 @@ use crate::order::Order;
 use crate::problem::Problem;
 use crate::rounding::rounding;
 use crate::settings::{Combination, Criterion, Settings, Solver, Stop};
-use crate::structure::{Assumed, Structure};
+use crate::structure::{OwnedStructure, Structure};
 use crate::sums::Sums;
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Grouping;
@@ -61,7 +61,7 @@ impl Estimate {
     pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
         let classes = &self.state.problem.classes;
         if self.stop != Stop::Certified
-            && let Some(class) = classes.collapsed(&self.state.newton_iterate.point)
+            && let Some(class) = classes.singular_exact_class(&self.state.newton_iterate.point)
         {
             return Err(FitError::Unbounded { test: reductions.id(classes.tests_of(class)[0]).to_owned() });
         }
@@ -119,7 +119,7 @@ pub struct FinalState {
     pub problem: Arc<Problem>,
     pub newton_iterate: NewtonIterate,
     pub sums: Sums,
-    pub(crate) assumed: Assumed,
+    pub(crate) assumed: OwnedStructure,
     pub settings: Settings,
     /// The joint distribution with the dynamic parameters, for standard errors, where these parameters are estimated
     /// too.

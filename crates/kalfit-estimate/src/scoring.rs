@@ -22,7 +22,7 @@ use kalfit_algebra::symmetric;
 const LARGEST_LOSS: f64 = 0.9;
 
 /// The point after generalised least squares for the mean, where there are several phases; else the point itself.
-pub(crate) fn prepared(problem: &Problem, point: Point) -> Option<Point> {
+pub(crate) fn with_least_squares_mean(problem: &Problem, point: Point) -> Option<Point> {
     if problem.covariance.elements.is_single() {
         return Some(point);
     }
@@ -107,6 +107,6 @@ fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Opti
     let whole = if by_direction || worst > -LARGEST_LOSS { 1.0 } else { LARGEST_LOSS / -worst };
     let factors = relative.iter().map(|m| 1.0 + (whole * m).max(-LARGEST_LOSS));
     let factors = DMatrix::from_diagonal(&DVector::from_iterator(relative.len(), factors));
-    let turned = half * directions;
-    Some(&turned * factors * turned.transpose())
+    let rotated = half * directions;
+    Some(&rotated * factors * rotated.transpose())
 }

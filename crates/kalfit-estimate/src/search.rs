@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::DMatrix;
 
 use crate::certificate::{Certificate, certificate};
-use crate::climb::{escaped, slid};
+use crate::climb::{step_off_boundary, step_along_flat};
 use crate::em;
 use crate::em::ConditionalStep;
 use crate::error::FitError;
@@ -24,29 +24,29 @@ use kalfit_model::Population;
 /// Maximum number of scoring steps before Newton's method takes over.
 const SCORING_STEPS: usize = 5;
 /// Scoring hands over to Newton's method once a step promises, or the last one has given, a gain in ℓ below this.
-const ENOUGH: f64 = 0.5;
+const MIN_SCORING_GAIN: f64 = 0.5;
 /// Scoring also hands over once a step has gained less than this fraction of what it promised.
-const KEPT: f64 = 0.7;
+const MIN_SCORING_RATIO: f64 = 0.7;
 /// Newton's method in ψ steps alone while each step reduces the decrement to less than this fraction of the one before;
 /// otherwise the quadratic model in Σ is tried first.
-const FAST: f64 = 0.1;
+const FAST_REDUCTION: f64 = 0.1;
 /// Largest number of mean coordinates and elements of Σ up to which the quadratic model in Σ is tried at every step: it
 /// costs little there.
-const CHEAP: usize = 120;
+const CHEAP_MODEL_SIZE: usize = 120;
 /// Where rounding keeps every step from raising ℓ, a decrement of at most this many tolerances is accepted: a millionth
 /// of a standard error by default.
-const NEAR_ENOUGH: f64 = 1e2;
+const ROUNDING_TOLERANCES: f64 = 1e2;
 /// Below this decrement the next step is probably the last: Newton's method roughly squares the decrement.
-const NEAR_END: f64 = 1e-3;
+const LAST_STEP_DECREMENT: f64 = 1e-3;
 /// Decrement, in standard errors, that stops a search on a subset of the tests: far below the subset's sampling error.
-const ROUGH: f64 = 1e-2;
+const PILOT_TOLERANCE: f64 = 1e-2;
 /// Number of EM steps between two evaluations of the certificate.
-const EM_LOOK: usize = 16;
+const EM_CHECK_INTERVAL: usize = 16;
 /// Columns of the factor smaller than this (in η) are tried at exactly zero when the search has ended.
-const SNAP: f64 = 1e-5;
-/// As `SNAP`, but tried once during the search, where the model in Σ finds no step: if only few matrices of a lower
+const SNAP_SIZE: f64 = 1e-5;
+/// As `SNAP_SIZE`, but tried once during the search, where the model in Σ finds no step: if only few matrices of a lower
 /// rank meet the constraints, the decrement near them is unreliable.
-const SMALL: f64 = 1e-3;
+const EARLY_SNAP_SIZE: f64 = 1e-3;
 
 /// Where a search begins.
 pub(crate) enum Beginning<'a> {
@@ -79,22 +79,22 @@ impl<'a> Search<'a> {
             Beginning::Near(values) => start::near(&self.problem, values)?,
             Beginning::At(point) => point,
         };
-        let (place, stop) = match self.settings.solver {
+        let (iterate, stop) = match self.settings.solver {
             Solver::Newton => {
                 let began = start.root.clone();
                 let first = match is_near {
-                    true => self.place(start, None)?,
-                    false => match self.piloted(&start, structure)? {
-                        Some(place) => place,
+                    true => self.iterate(start, None)?,
+                    false => match self.pilot_start(&start, structure)? {
+                        Some(iterate) => iterate,
                         None => self.scored_start(start)?,
                     },
                 };
-                let (place, stop) = self.newton(first)?;
-                (self.restored(place, &began)?, stop)
+                let (iterate, stop) = self.newton(first)?;
+                (self.restored(iterate, &began)?, stop)
             }
             Solver::Em => self.em(start)?,
         };
-        self.finish(place, stop, structure)
+        self.finish(iterate, stop, structure)
     }
 
     fn accept(&mut self, value: f64, decrement: Option<f64>) {
@@ -103,14 +103,14 @@ impl<'a> Search<'a> {
     }
 
     /// The reason why the search must stop now, if there is one.
-    fn ends(&self) -> Option<Stop> {
+    fn stop_reason(&self) -> Option<Stop> {
         if self.progress.stops() {
             return Some(Stop::Interrupted);
         }
         (self.problem.passes() >= self.settings.max_passes).then_some(Stop::PassLimit)
     }
 
-    fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<NewtonIterate, FitError> {
+    fn iterate(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<NewtonIterate, FitError> {
         NewtonIterate::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
     }
 
@@ -122,73 +122,73 @@ impl<'a> Search<'a> {
     }
 
     /// Newton's method, with an EM step where Newton's method finds none.
-    fn newton(&mut self, mut place: NewtonIterate) -> Result<(NewtonIterate, Stop), FitError> {
-        self.accept(place.local.value, Some(place.decrement()));
+    fn newton(&mut self, mut iterate: NewtonIterate) -> Result<(NewtonIterate, Stop), FitError> {
+        self.accept(iterate.local.value, Some(iterate.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
         let mut before = f64::INFINITY;
         let mut tried_at_zero = false;
         let tests = self.problem.classes.tests as f64;
         loop {
-            if place.decrement() <= self.settings.tolerance {
+            if iterate.decrement() <= self.settings.tolerance {
                 let (objective, map) = (&self.problem, &self.problem.covariance);
-                match escaped(objective, map, tests, &mut place).or_else(|| slid(objective, map, &mut place)) {
-                    Some(better) => place = better,
-                    None => return Ok((place, Stop::Certified)),
+                match step_off_boundary(objective, map, tests, &mut iterate).or_else(|| step_along_flat(objective, map, &mut iterate)) {
+                    Some(better) => iterate = better,
+                    None => return Ok((iterate, Stop::Certified)),
                 }
             }
-            if let Some(stop) = self.ends() {
-                return Ok((place, stop));
+            if let Some(stop) = self.stop_reason() {
+                return Ok((iterate, stop));
             }
-            self.problem.ends_soon(place.decrement() < NEAR_END);
-            let fast = place.decrement() < FAST * before;
-            before = place.decrement();
-            if !fast || place.local.gradient_size() <= CHEAP {
-                let mut next = quadratic::step(&self.problem, &self.problem.covariance, tests, &mut place);
-                if next.is_none() && place.decrement() < NEAR_END && !std::mem::replace(&mut tried_at_zero, true) {
-                    let closer = 0.5 * place.decrement();
-                    next = self.snapped(&mut place, SMALL, closer)?;
+            self.problem.set_near_end(iterate.decrement() < LAST_STEP_DECREMENT);
+            let fast = iterate.decrement() < FAST_REDUCTION * before;
+            before = iterate.decrement();
+            if !fast || iterate.local.gradient_size() <= CHEAP_MODEL_SIZE {
+                let mut next = quadratic::step(&self.problem, &self.problem.covariance, tests, &mut iterate);
+                if next.is_none() && iterate.decrement() < LAST_STEP_DECREMENT && !std::mem::replace(&mut tried_at_zero, true) {
+                    let closer = 0.5 * iterate.decrement();
+                    next = self.with_zero_columns(&mut iterate, EARLY_SNAP_SIZE, closer)?;
                 }
                 if let Some(next) = next {
-                    place = next;
-                    self.accept(place.local.value, Some(place.decrement()));
+                    iterate = next;
+                    self.accept(iterate.local.value, Some(iterate.decrement()));
                     continue;
                 }
             }
-            match damping.attempt(&self.problem, &self.problem.covariance, &mut place) {
+            match damping.attempt(&self.problem, &self.problem.covariance, &mut iterate) {
                 Attempt::Better(next) => {
-                    place = *next;
+                    iterate = *next;
                     failures = 0;
                 }
-                Attempt::Blind if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
-                    return Ok((place, Stop::Certified));
+                Attempt::BelowRounding if iterate.decrement() <= ROUNDING_TOLERANCES * self.settings.tolerance => {
+                    return Ok((iterate, Stop::Certified));
                 }
-                Attempt::Failed | Attempt::Blind => {
+                Attempt::Failed | Attempt::BelowRounding => {
                     failures += 1;
-                    match self.safeguard(&mut place, failures <= 3)? {
-                        Some(next) => place = next,
-                        _ if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
-                            return Ok((place, Stop::Certified));
+                    match self.safeguard(&mut iterate, failures <= 3)? {
+                        Some(next) => iterate = next,
+                        _ if iterate.decrement() <= ROUNDING_TOLERANCES * self.settings.tolerance => {
+                            return Ok((iterate, Stop::Certified));
                         }
-                        _ => return Ok((place, Stop::Stalled)),
+                        _ => return Ok((iterate, Stop::Stalled)),
                     }
                 }
             }
-            self.accept(place.local.value, Some(place.decrement()));
+            self.accept(iterate.local.value, Some(iterate.decrement()));
         }
     }
 
     /// The optimum of a subset of the tests, as a start for all; `None` where the tests are too few, or where the
     /// subset's search does not converge.
-    fn piloted(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<NewtonIterate>, FitError> {
+    fn pilot_start(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<NewtonIterate>, FitError> {
         let Some(problem) = pilot::problem(&self.problem, structure)? else { return Ok(None) };
-        let settings = Settings { tolerance: ROUGH.max(self.settings.tolerance), ..self.settings.clone() };
+        let settings = Settings { tolerance: PILOT_TOLERANCE.max(self.settings.tolerance), ..self.settings.clone() };
         let mut silent = Silent;
         let mut search = Search::new(problem, &settings, &mut silent);
         let ended = search.scored_start(start.clone()).and_then(|scored| search.newton(scored));
         let Ok((end, Stop::Certified)) = ended else { return Ok(None) };
-        let point = start::onward(&self.problem, &search.problem, &end.point)?;
-        Ok(self.place(point, None).ok())
+        let point = start::from_pilot(&self.problem, &search.problem, &end.point)?;
+        Ok(self.iterate(point, None).ok())
     }
 
     /// The start, improved by Fisher scoring while that promises much. ℓ need not rise at every step: where it falls,
@@ -199,7 +199,7 @@ impl<'a> Search<'a> {
         let mut expected = 0.0;
         for _ in 0..SCORING_STEPS {
             let near = best.as_ref().and_then(|(sums, _)| sums.near());
-            point = scoring::prepared(&self.problem, point).ok_or(FitError::NotFinite)?;
+            point = scoring::with_least_squares_mean(&self.problem, point).ok_or(FitError::NotFinite)?;
             let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
             let before = best.as_ref().map(|(sums, _)| sums.value);
             if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
@@ -210,39 +210,39 @@ impl<'a> Search<'a> {
             let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
             drop(best.take()); // with many states, both do not fit in memory
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
-            let kept_its_word = gained >= KEPT * expected;
+            let was_reliable = gained >= MIN_SCORING_RATIO * expected;
             expected = promised;
             best = Some((sums.without_expected(), point));
             point = next;
-            if promised < ENOUGH || gained < ENOUGH || !kept_its_word || self.progress.stops() {
+            if promised < MIN_SCORING_GAIN || gained < MIN_SCORING_GAIN || !was_reliable || self.progress.stops() {
                 break;
             }
         }
-        let place = self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
-        match best.filter(|(sums, _)| sums.value > place.local.value) {
+        let iterate = self.iterate(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
+        match best.filter(|(sums, _)| sums.value > iterate.local.value) {
             Some((sums, point)) => self.known(point, sums),
-            None => Ok(place),
+            None => Ok(iterate),
         }
     }
 
     /// An EM step, where it raises ℓ and `wanted` is true.
-    fn safeguard(&mut self, place: &mut NewtonIterate, wanted: bool) -> Result<Option<NewtonIterate>, FitError> {
-        let sums = self.problem.sums(&place.point, Order::Mean, None).ok_or(FitError::NotFinite)?;
-        let next = em::step(&self.problem, &place.point, &sums, &mut ConditionalStep::Covariance);
-        self.surpassed(place, next, |next, place| wanted && next.local.value > place.local.value)
+    fn safeguard(&mut self, iterate: &mut NewtonIterate, wanted: bool) -> Result<Option<NewtonIterate>, FitError> {
+        let sums = self.problem.sums(&iterate.point, Order::Mean, None).ok_or(FitError::NotFinite)?;
+        let next = em::step(&self.problem, &iterate.point, &sums, &mut ConditionalStep::Covariance);
+        self.try_successor(iterate, next, |next, iterate| wanted && next.local.value > iterate.local.value)
     }
 
     /// The iterate at a point, where `good` accepts it; the iterate passed in must not be used any more then.
-    fn surpassed(
+    fn try_successor(
         &self,
-        place: &mut NewtonIterate,
+        iterate: &mut NewtonIterate,
         point: Point,
         good: impl FnOnce(&NewtonIterate, &NewtonIterate) -> bool,
     ) -> Result<Option<NewtonIterate>, FitError> {
         let mut failed = None;
-        let next = place.surpassed(&self.problem, |place| {
-            let next = self.place(point, place.near()).map_err(|error| failed = Some(error)).ok()?;
-            good(&next, place).then_some(next)
+        let next = iterate.try_successor(&self.problem, |iterate| {
+            let next = self.iterate(point, iterate.near()).map_err(|error| failed = Some(error)).ok()?;
+            good(&next, iterate).then_some(next)
         });
         failed.map_or(Ok(next), Err)
     }
@@ -268,13 +268,13 @@ impl<'a> Search<'a> {
             }
             before = sums.value;
             self.accept(sums.value, None);
-            if steps.is_multiple_of(EM_LOOK) || self.ends().is_some() {
-                let place = self.place(point.clone(), sums.near())?;
-                if place.decrement() <= self.settings.tolerance {
-                    return Ok((place, Stop::Certified));
+            if steps.is_multiple_of(EM_CHECK_INTERVAL) || self.stop_reason().is_some() {
+                let iterate = self.iterate(point.clone(), sums.near())?;
+                if iterate.decrement() <= self.settings.tolerance {
+                    return Ok((iterate, Stop::Certified));
                 }
-                if let Some(stop) = self.ends() {
-                    return Ok((place, stop));
+                if let Some(stop) = self.stop_reason() {
+                    return Ok((iterate, stop));
                 }
             }
             point = em::step(&self.problem, &point, &sums, &mut turn);
@@ -286,56 +286,56 @@ impl<'a> Search<'a> {
     /// user's units.
     fn finish(
         mut self,
-        mut place: NewtonIterate,
+        mut iterate: NewtonIterate,
         mut stop: Stop,
         structure: &Structure<'_>,
     ) -> Result<Estimate, FitError> {
-        let enough = place.decrement().max(self.settings.tolerance);
-        place = self.snapped(&mut place, SNAP, enough)?.unwrap_or(place);
+        let enough = iterate.decrement().max(self.settings.tolerance);
+        iterate = self.with_zero_columns(&mut iterate, SNAP_SIZE, enough)?.unwrap_or(iterate);
         if self.problem.criterion() == Criterion::Reml {
             // the second derivatives are exact only with the covariance of the mean at this very point
-            let same = place.point.clone();
-            place = self.surpassed(&mut place, same, |_, _| true)?.unwrap_or(place);
+            let same = iterate.point.clone();
+            iterate = self.try_successor(&mut iterate, same, |_, _| true)?.unwrap_or(iterate);
         }
         let passes = self.problem.passes();
-        self.problem.ends_soon(false);
-        let sums = self.problem.at_end(&place).ok_or(FitError::NotFinite)?;
-        let certificate = certified(&self.problem, &place);
-        if stop == Stop::Certified && !certificate.holds(NEAR_ENOUGH * self.settings.tolerance) {
+        self.problem.set_near_end(false);
+        let sums = self.problem.at_end(&iterate).ok_or(FitError::NotFinite)?;
+        let certificate = certified(&self.problem, &iterate);
+        if stop == Stop::Certified && !certificate.holds(ROUNDING_TOLERANCES * self.settings.tolerance) {
             stop = Stop::Stalled;
         }
         let settings = self.settings.clone();
         let state = FinalState {
-            newton_iterate: place,
+            newton_iterate: iterate,
             sums,
             problem: Arc::new(self.problem),
             assumed: structure.into(),
             settings,
             joint: None,
         };
-        Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
+        Ok(Estimate { passes, ..into_estimate(state, certificate, stop, self.trace, self.settings.solver) })
     }
 
     /// The iterate with the distribution of what no test observes reset to that of the start, where Newton's steps have
     /// changed it.
-    fn restored(&mut self, mut place: NewtonIterate, start: &DMatrix<f64>) -> Result<NewtonIterate, FitError> {
+    fn restored(&mut self, mut iterate: NewtonIterate, start: &DMatrix<f64>) -> Result<NewtonIterate, FitError> {
         let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
-        let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
-        let point = Point { root, ..place.point.clone() };
-        let enough = place.decrement().max(self.settings.tolerance);
-        let fine = |next: &NewtonIterate, place: &NewtonIterate| is_as_good(next, place) && next.decrement() <= enough;
-        Ok(self.surpassed(&mut place, point, fine)?.unwrap_or(place))
+        let Some(root) = unobserved::restored(map, information, start, &iterate.point.root) else { return Ok(iterate) };
+        let point = Point { root, ..iterate.point.clone() };
+        let enough = iterate.decrement().max(self.settings.tolerance);
+        let fine = |next: &NewtonIterate, iterate: &NewtonIterate| is_as_good(next, iterate) && next.decrement() <= enough;
+        Ok(self.try_successor(&mut iterate, point, fine)?.unwrap_or(iterate))
     }
 
     /// The iterate with columns of the factor below this size set to zero; `None` where there are none, where ℓ falls,
     /// or where the decrement exceeds `enough`.
-    fn snapped(
+    fn with_zero_columns(
         &mut self,
-        place: &mut NewtonIterate,
+        iterate: &mut NewtonIterate,
         size: f64,
         enough: f64,
     ) -> Result<Option<NewtonIterate>, FitError> {
-        let mut root = place.point.root.clone();
+        let mut root = iterate.point.root.clone();
         let mut changed = false;
         for block in self.problem.covariance.blocks() {
             for &c in block {
@@ -350,32 +350,32 @@ impl<'a> Search<'a> {
             return Ok(None);
         }
         let Some(root) = self.problem.covariance.onto(&root) else { return Ok(None) };
-        let point = Point { root, ..place.point.clone() };
-        self.surpassed(place, point, |next, place| is_as_good(next, place) && next.decrement() <= enough)
+        let point = Point { root, ..iterate.point.clone() };
+        self.try_successor(iterate, point, |next, iterate| is_as_good(next, iterate) && next.decrement() <= enough)
     }
 }
 
 /// Whether ℓ is no lower, apart from rounding.
-fn is_as_good(next: &NewtonIterate, place: &NewtonIterate) -> bool {
-    next.local.value >= place.local.value - 1e-9
+fn is_as_good(next: &NewtonIterate, iterate: &NewtonIterate) -> bool {
+    next.local.value >= iterate.local.value - 1e-9
 }
 
 impl Estimate {
     /// The estimate at an iterate where no search has ended.
     pub fn unfinished(state: FinalState) -> Estimate {
         let certificate = certified(&state.problem, &state.newton_iterate);
-        leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
+        into_estimate(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
     }
 }
 
 /// The certificate of an iterate, with its bound on rounding errors.
-fn certified(problem: &Problem, place: &NewtonIterate) -> Certificate {
-    let (certificate, _) = certificate(&problem.covariance, place, problem.classes.tests as f64);
-    certificate.with_rounding(&rounding(&problem.classes.frame, place))
+fn certified(problem: &Problem, iterate: &NewtonIterate) -> Certificate {
+    let (certificate, _) = certificate(&problem.covariance, iterate, problem.classes.tests as f64);
+    certificate.with_rounding(&rounding(&problem.classes.frame, iterate))
 }
 
 /// The estimate in the user's units.
-fn leave(state: FinalState, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
+fn into_estimate(state: FinalState, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
     let problem = &state.problem;
     let Population { mean, coefficients, covariance } = problem.values_of(&state.newton_iterate.point);
     Estimate {

@@ -10,7 +10,7 @@ use kalfit_algebra::symmetric;
 use kalfit_model::{Population, StructureError};
 
 /// Smallest start variance of a state in η, where an average test has unit information on the state.
-const LEAST: f64 = 0.05;
+const MIN_START_VARIANCE: f64 = 0.05;
 
 /// The point where the search begins.
 pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Point, FitError> {
@@ -60,7 +60,7 @@ pub fn generic_root(problem: &Problem) -> DMatrix<f64> {
 }
 
 /// [`near`] treats Σ as singular when a scaled eigenvalue is below this.
-const SINGULAR: f64 = 1e-6;
+const SINGULAR_EIGENVALUE: f64 = 1e-6;
 
 /// The point of the structure near given values. A singular Σ is made regular: in its null space, ℓ would look flat to
 /// a search that begins there.
@@ -72,8 +72,8 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     let sigma = map.mask(&frame.covariance_in(&values.covariance));
     let of = |part: &PhaseForm| {
         let (own, mut sigma) = (map.of_part(part), part.of(&sigma));
-        if symmetric::scaled_range(&sub(&sigma, &own.random)).0 < SINGULAR {
-            own.random.iter().for_each(|&i| sigma[(i, i)] += LEAST.max(0.01 * sigma[(i, i)]));
+        if symmetric::scaled_range(&sub(&sigma, &own.random)).0 < SINGULAR_EIGENVALUE {
+            own.random.iter().for_each(|&i| sigma[(i, i)] += MIN_START_VARIANCE.max(0.01 * sigma[(i, i)]));
         }
         if own.constraints.is_empty() { Ok(own.root_of(&sigma)) } else { feasible(&own, &sigma) }
     };
@@ -88,7 +88,7 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
 
 /// A pilot's end as a start for all tests; an end on the boundary is moved a little inside, where the best point of all
 /// tests may be.
-pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
+pub(crate) fn from_pilot(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
     near(whole, &pilot.values_of(end))
 }
 
@@ -96,7 +96,7 @@ pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Po
 fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>) {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
     let start = structure.mean_start();
-    let wanted: Vec<f64> = start.iter().zip(&frame.centre).map(|(told, pooled)| told.unwrap_or(*pooled)).collect();
+    let wanted: Vec<f64> = start.iter().zip(&frame.centre).map(|(given, pooled)| given.unwrap_or(*pooled)).collect();
     let wanted = DVector::from_vec(frame.mean_in(&wanted));
     let information = map.basis.transpose() * &problem.classes.information * &map.basis;
     let score = map.basis.transpose() * &problem.classes.information * (&wanted - &map.offset);
@@ -114,9 +114,9 @@ fn variances(classes: &Classes, mean: &DVector<f64>) -> DVector<f64> {
     let (excess, weight) = classes.excess(mean);
     if let Some(units) = &classes.units {
         let found: Vec<Option<f64>> = units.variances((&excess, &weight)).into_iter().flatten().collect();
-        return DVector::from_fn(p, |k, _| found[k].map_or(1.0, |variance| variance.max(LEAST)));
+        return DVector::from_fn(p, |k, _| found[k].map_or(1.0, |variance| variance.max(MIN_START_VARIANCE)));
     }
-    DVector::from_fn(p, |i, _| if weight[i] > 0.0 { (excess[i] / weight[i]).max(LEAST) } else { 1.0 })
+    DVector::from_fn(p, |i, _| if weight[i] > 0.0 { (excess[i] / weight[i]).max(MIN_START_VARIANCE) } else { 1.0 })
 }
 
 /// A root whose FF' meets the constraints, near Σ if possible.

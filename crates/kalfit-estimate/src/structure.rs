@@ -124,21 +124,21 @@ impl<'a> Structure<'a> {
 
 /// A structure that owns its parts.
 #[derive(Debug, Clone)]
-pub(crate) struct Assumed {
+pub(crate) struct OwnedStructure {
     phases: Vec<(MeanStructure, CovarianceStructure)>,
     pub(crate) alpha: Alpha,
     grouping: Option<Arc<Grouping>>,
 }
 
-impl From<&Structure<'_>> for Assumed {
-    fn from(structure: &Structure<'_>) -> Assumed {
+impl From<&Structure<'_>> for OwnedStructure {
+    fn from(structure: &Structure<'_>) -> OwnedStructure {
         let own = |phase: &PhaseStructure<'_>| (phase.mean.clone().into_owned(), phase.covariance.clone());
         let phases = structure.phases.iter().map(own).collect();
-        Assumed { phases, alpha: structure.alpha.clone(), grouping: structure.grouping.clone() }
+        OwnedStructure { phases, alpha: structure.alpha.clone(), grouping: structure.grouping.clone() }
     }
 }
 
-impl Assumed {
+impl OwnedStructure {
     /// A view of the structure.
     pub(crate) fn structure(&self) -> Structure<'_> {
         self.at(&self.alpha)

@@ -74,7 +74,7 @@ impl Summed {
                 let flat =
                     flat.as_ref().map(|(jacobian, covariance)| FlatMean { jacobian, covariance: covariance.as_ref() });
                 let (classes, regressors) = self.classes(frame)?;
-                pass::told_pass(classes, regressors, &point, *detail, flat.as_ref()).numbers()
+                pass::pass_for_remote(classes, regressors, &point, *detail, flat.as_ref()).numbers()
             }
             _ => return None,
         };

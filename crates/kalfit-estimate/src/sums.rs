@@ -38,16 +38,16 @@ pub struct Sums {
     /// Σ W ⊗ W.
     pub(super) expected: Products,
     /// Second derivatives of tests in groups, which are no sums over tests.
-    pub(super) of_levels: Option<OfLevels>,
+    pub(super) group_derivatives: Option<GroupDerivatives>,
     /// ½ Σ tr(W D W E) where a search has ended, in place of the products that it is computed from.
-    rested: Option<Folded>,
+    folded_expected: Option<Folded>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
 }
 
 /// Second derivatives of tests in groups.
 #[derive(Debug, Clone)]
-pub(crate) struct OfLevels {
+pub(crate) struct GroupDerivatives {
     /// -∂²ℓ by two elements.
     pub(super) observed: DMatrix<f64>,
     /// -∂²ℓ by a mean coordinate and an element.
@@ -72,8 +72,8 @@ impl Sums {
             curvature: Products::zero(elements, order >= Order::Second),
             cross: Crosses::zero(elements, m, order >= Order::Second),
             expected: Products::zero(elements, order >= Order::Expected),
-            of_levels: None,
-            rested: None,
+            group_derivatives: None,
+            folded_expected: None,
             elements: elements.clone(),
         }
     }
@@ -206,8 +206,8 @@ impl Sums {
     /// out of the sums: with many states each such matrix takes most of the available memory.
     pub(crate) fn observed_information(&mut self) -> DMatrix<f64> {
         let curvature = std::mem::replace(&mut self.curvature, Products::zero(&self.elements, false));
-        let own = match &mut self.of_levels {
-            Some(of_levels) => std::mem::replace(&mut of_levels.observed, DMatrix::zeros(0, 0)),
+        let own = match &mut self.group_derivatives {
+            Some(group_derivatives) => std::mem::replace(&mut group_derivatives.observed, DMatrix::zeros(0, 0)),
             None => self.elements.over(|k, l, a, b| curvature.get((l, a), (b, k))),
         };
         match &mut self.restricted {
@@ -218,9 +218,9 @@ impl Sums {
 
     /// ½ Σ tr(W D W E), elements × elements.
     pub fn expected_information(&self) -> DMatrix<f64> {
-        match (&self.rested, &self.of_levels) {
+        match (&self.folded_expected, &self.group_derivatives) {
             (Some(expected), _) => expected.unfolded(),
-            (None, Some(of_levels)) => of_levels.expected.clone(),
+            (None, Some(group_derivatives)) => group_derivatives.expected.clone(),
             (None, None) => self.elements.over(self.expected_term()),
         }
     }
@@ -244,10 +244,10 @@ impl Sums {
     }
 
     /// The sums with the expected information computed, in half the memory of the products that it is computed from.
-    pub(super) fn settled(mut self) -> Sums {
-        if self.rested.is_none() {
-            self.rested = Some(match &mut self.of_levels {
-                Some(of_levels) => Folded::of(std::mem::replace(&mut of_levels.expected, DMatrix::zeros(0, 0))),
+    pub(super) fn with_folded_expected(mut self) -> Sums {
+        if self.folded_expected.is_none() {
+            self.folded_expected = Some(match &mut self.group_derivatives {
+                Some(group_derivatives) => Folded::of(std::mem::replace(&mut group_derivatives.expected, DMatrix::zeros(0, 0))),
                 None => self.elements.folded_over(self.expected_term()),
             });
         }
@@ -256,15 +256,15 @@ impl Sums {
 
     /// The sums that are needed where a search has ended: of second derivatives by elements of Σ the expected ones
     /// alone.
-    pub(super) fn at_rest(mut self) -> Sums {
+    pub(super) fn only_expected(mut self) -> Sums {
         self.curvature = Products::zero(&self.elements, false);
-        Sums { of_levels: None, ..self.settled() }
+        Sums { group_derivatives: None, ..self.with_folded_expected() }
     }
 
     /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.
     pub(crate) fn cross_information(&self) -> DMatrix<f64> {
-        if let Some(of_levels) = &self.of_levels {
-            return of_levels.cross.clone();
+        if let Some(group_derivatives) = &self.group_derivatives {
+            return group_derivatives.cross.clone();
         }
         let elements = &self.elements;
         let mut cross = DMatrix::zeros(self.mean_score.len(), elements.count());
@@ -291,23 +291,23 @@ impl Sums {
     /// All sums, as a list.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
-        let of_levels = self.of_levels.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
+        let group_derivatives = self.group_derivatives.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
         let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
         let blocks = [&self.curvature.blocks, &self.cross.blocks, &self.expected.blocks];
         let products = blocks.into_iter().flat_map(ProductBlocks::numbers);
-        plain.chain(matrices.into_iter().chain(of_levels).flatten().copied()).chain(products).collect()
+        plain.chain(matrices.into_iter().chain(group_derivatives).flatten().copied()).chain(products).collect()
     }
 
     /// The sums from such a list, with the shapes of these; `None` where the list has another length.
     pub(super) fn of_numbers(mut self, numbers: &[f64]) -> Option<Sums> {
         let matrices = [&mut self.mean_information, &mut self.outer, &mut self.weight, &mut self.spread];
-        let of_levels =
-            self.of_levels.iter_mut().flat_map(|own| [&mut own.observed, &mut own.cross, &mut own.expected]);
+        let group_derivatives =
+            self.group_derivatives.iter_mut().flat_map(|own| [&mut own.observed, &mut own.cross, &mut own.expected]);
         let plain = [&mut self.value, &mut self.quadratic].into_iter().chain(self.mean_score.iter_mut());
         let blocks = [&mut self.curvature.blocks, &mut self.cross.blocks, &mut self.expected.blocks];
-        let products = blocks.into_iter().flat_map(ProductBlocks::places_mut);
+        let products = blocks.into_iter().flat_map(ProductBlocks::elements_mut);
         let places =
-            plain.chain(matrices.into_iter().chain(of_levels).flat_map(|matrix| matrix.iter_mut())).chain(products);
+            plain.chain(matrices.into_iter().chain(group_derivatives).flat_map(|matrix| matrix.iter_mut())).chain(products);
         let mut count = 0;
         places.zip(numbers).for_each(|(place, number)| {
             *place = *number;

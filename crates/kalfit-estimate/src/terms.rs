@@ -54,19 +54,19 @@ impl<'a> ClassTerms<'a> {
     /// between phases, or, for posteriors, in all of W and Σ r r'.
     pub fn evaluate(&mut self, class: ClassRef<'_>, detail: ChainDetail) {
         if let Some(chain) = class.chain {
-            let said = self.at.in_phases(class, chain, detail);
-            return self.take((&chain.ranges(), class), &said, detail, |x| x);
+            let terms = self.at.in_phases(class, chain, detail);
+            return self.take((&chain.ranges(), class), &terms, detail, |x| x);
         }
         let p = self.r.len();
         let all = 0..p;
-        let said = self.at.whole(class, std::slice::from_ref(&all));
-        (self.det, self.quadratic) = (said.det(), said.quadratic());
+        let terms = self.at.whole(class, std::slice::from_ref(&all));
+        (self.det, self.quadratic) = (terms.det(), terms.quadratic());
         for a in 0..p {
-            self.r[a] = said.r(0, a);
-            for (b, &w) in said.weight((0, a), 0).iter().enumerate() {
+            self.r[a] = terms.r(0, a);
+            for (b, &w) in terms.weight((0, a), 0).iter().enumerate() {
                 (self.W[a * p + b], self.W[b * p + a]) = (w, w);
             }
-            said.outer((0, a), 0, &mut self.outer[a * p..][..p]);
+            terms.outer((0, a), 0, &mut self.outer[a * p..][..p]);
         }
     }
 
@@ -83,26 +83,26 @@ impl<'a> ClassTerms<'a> {
     pub(crate) fn take<N: Real>(
         &mut self,
         (ranges, class): (&[Range<usize>], ClassRef<'_>),
-        said: &ChainTerms<N>,
+        terms: &ChainTerms<N>,
         detail: ChainDetail,
         of: impl Fn(N) -> f64,
     ) {
-        let (mantissa, exponent) = said.root_det;
+        let (mantissa, exponent) = terms.root_det;
         self.det = (of(mantissa) * of(mantissa), 2.0 * of(exponent));
-        self.quadratic = of(said.quadratic);
+        self.quadratic = of(terms.quadratic);
         [&mut self.r, &mut self.W, &mut self.outer].into_iter().for_each(|all| all.fill(0.0));
-        for (r, own) in said.r.iter().zip(ranges) {
+        for (r, own) in terms.r.iter().zip(ranges) {
             for (a, to) in self.r[own.clone()].iter_mut().enumerate() {
                 *to = of(r[(a, 0)]);
             }
         }
         if detail == ChainDetail::Posterior {
-            let (mantissa, exponent) = said.link_root_det;
+            let (mantissa, exponent) = terms.link_root_det;
             self.link_log_det = 2.0 * (of(mantissa).ln() + of(exponent) * std::f64::consts::LN_2);
             let lane = |m: &Rows<N>| Rows::from_fn(m.nrows(), m.ncols(), |i, k| of(m[(i, k)]));
-            self.covariances = said.covariances.iter().map(lane).collect();
+            self.covariances = terms.covariances.iter().map(lane).collect();
         } else {
-            self.take_pairs((ranges, class), said, of);
+            self.take_pairs((ranges, class), terms, of);
         }
     }
 
@@ -111,17 +111,17 @@ impl<'a> ClassTerms<'a> {
     fn take_pairs<N: Real>(
         &mut self,
         (own, class): (&[Range<usize>], ClassRef<'_>),
-        said: &ChainTerms<N>,
+        terms: &ChainTerms<N>,
         of: impl Fn(N) -> f64,
     ) {
         let p = self.r.len();
-        let mut blocks = said.W.iter();
+        let mut blocks = terms.W.iter();
         for (k, one) in own.iter().enumerate() {
             for (i, other) in own[..=k].iter().enumerate() {
                 let Some(block) = blocks.next().and_then(Option::as_ref) else { continue };
                 for a in 0..one.len() {
                     for b in 0..other.len() {
-                        let (x, y) = (said.r[k].row(a), said.r[i].row(b));
+                        let (x, y) = (terms.r[k].row(a), terms.r[i].row(b));
                         let mut outer = class.count * self.r[one.start + a] * self.r[other.start + b];
                         for (&x, &y) in x[1..].iter().zip(&y[1..]) {
                             outer += of(x) * of(y);

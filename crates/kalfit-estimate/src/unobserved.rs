@@ -14,7 +14,7 @@ use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, sub};
 use kalfit_algebra::symmetric;
 
 /// Scaled information below this counts as zero.
-const NONE: f64 = 1e-10;
+const ZERO_INFORMATION: f64 = 1e-10;
 
 /// The root of a Σ with the present distribution of what is observed, and the start's distribution of the rest given
 /// what is observed. `None` where everything is observed, or where constraints tie the rest to it.
@@ -24,8 +24,8 @@ pub(crate) fn restored(
     start: &DMatrix<f64>,
     root: &DMatrix<f64>,
 ) -> Option<DMatrix<f64>> {
-    let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
-    let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
+    let unconstrained = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
+    let blocks = map.parts.iter().filter(unconstrained).flat_map(|part| match &part.form {
         CoordinateForm::Factor(blocks) => blocks.as_slice(),
         _ => &[],
     });
@@ -34,7 +34,7 @@ pub(crate) fn restored(
     for block in blocks {
         let Some(observed) = observed(&sub(information, block)) else { continue };
         let rows = |root: &DMatrix<f64>| DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
-        let own = kept(&rows(start), &rows(root), &observed);
+        let own = completed_root(&rows(start), &rows(root), &observed);
         for (k, &i) in block.iter().enumerate() {
             (0..root.ncols()).for_each(|c| found[(i, c)] = 0.0);
             for (c, &at) in block.iter().enumerate() {
@@ -48,27 +48,27 @@ pub(crate) fn restored(
 
 /// V with orthonormal columns, the directions that are observed; `None` where all are.
 fn observed(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let range = symmetric::range(information, |value| value >= NONE);
+    let range = symmetric::range(information, |value| value >= ZERO_INFORMATION);
     (range.ncols() < information.nrows()).then_some(range)
 }
 
 /// A square root of K S K' + Σ0 - K (V'Σ0V) K', S = V'FF'V.
-fn kept(start: &DMatrix<f64>, root: &DMatrix<f64>, v: &DMatrix<f64>) -> DMatrix<f64> {
+fn completed_root(start: &DMatrix<f64>, root: &DMatrix<f64>, v: &DMatrix<f64>) -> DMatrix<f64> {
     let (n, o) = v.shape();
     let sigma = start * start.transpose();
-    let of_seen = v.transpose() * &sigma * v;
-    let size = DVector::from_vec(symmetric::sizes(&of_seen)).map(f64::recip);
+    let observed_covariance = v.transpose() * &sigma * v;
+    let size = DVector::from_vec(symmetric::sizes(&observed_covariance)).map(f64::recip);
     let scale = DMatrix::from_diagonal(&size);
-    let gain = &sigma * v * &scale * symmetric::pseudo_inverse(&(&scale * &of_seen * &scale)) * &scale;
+    let gain = &sigma * v * &scale * symmetric::pseudo_inverse(&(&scale * &observed_covariance * &scale)) * &scale;
     // (I - KV') Σ0 (I - KV')', whose rank is at most n - o
     let rest = (DMatrix::identity(n, n) - &gain * v.transpose()) * start;
     let rest = rest.svd(true, false);
     let directions = rest.u.expect("asked for");
     let seen = (v.transpose() * root).transpose().qr().r().transpose(); // S = seen seen', o × o
-    let known = gain * seen;
+    let explained = gain * seen;
     DMatrix::from_fn(
         n,
         n,
-        |i, c| if c < o { known[(i, c)] } else { directions[(i, c - o)] * rest.singular_values[c - o] },
+        |i, c| if c < o { explained[(i, c)] } else { directions[(i, c - o)] * rest.singular_values[c - o] },
     )
 }

@@ -15,7 +15,7 @@ use kalfit_algebra::regular::Regular;
 use kalfit_algebra::sparse::Sparse;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{
-    Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, harmonic, natural_sizes,
+    Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, natural_length, natural_sizes,
 };
 use kalfit_filter::reduce::Reductions;
 
@@ -168,7 +168,7 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
     let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
     let sizes = natural_sizes(root);
     let sizes: Vec<f64> = elements.all().map(|(i, j)| sizes[i] * sizes[j]).collect();
-    let own = free.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect::<Vec<_>>();
+    let own = free.columns().map(|c| natural_length(c.iter().map(|&(row, x)| (x, sizes[row])))).collect::<Vec<_>>();
     null_space(&information, &own, 0.0)
         .into_iter()
         .map(|v| out(Quantity::Covariance, &free.times(&v), &units))

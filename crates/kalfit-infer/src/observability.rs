@@ -146,7 +146,7 @@ pub(crate) fn observability(
 fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
     let p = problem.classes.dimension();
     let counts =
-        problem.told_counts().filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
+        problem.remote_counts().filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
     let count = |at: usize| counts[at] as usize;
     let (_, weak) = known_and_weak(problem, weight);
     let state = |i: usize| StateObservability {

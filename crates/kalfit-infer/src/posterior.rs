@@ -18,7 +18,7 @@ const CHUNK: usize = 64;
 pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
     let classes = problem.classes.of(reductions);
     let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
-    let found: Vec<NumberedPosteriors> = if classes.are_single() {
+    let found: Vec<NumberedPosteriors> = if classes.has_class_per_test() {
         of(&classes)
     } else {
         let all: Vec<usize> = (0..reductions.len()).collect();

@@ -8,7 +8,7 @@ use crate::indirect::{Around, WEIGHTS, moved};
 use kalfit_algebra::{log_determinant, whitened, whitener};
 use kalfit_filter::reduce::{ReduceError, ReductionRef, Reductions};
 use kalfit_filter::score::InitialLaw;
-use kalfit_filter::score::{Gradient, Known, add};
+use kalfit_filter::score::{Gradient, ExactConditional, add};
 use kalfit_model::PhasedTest;
 use kalfit_model::unpack;
 use nalgebra::DMatrix;
@@ -50,7 +50,7 @@ pub fn add_exact(
 /// [`moments`](kalfit_filter::score::Moments).
 fn value(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
     let p = law.root.nrows();
-    let (known, factor) = (Known::of(reduction, law), unpack(reduction.factor, p));
+    let (known, factor) = (ExactConditional::of(reduction, law), unpack(reduction.factor, p));
     let mean = known.mean(reduction, law);
     let lower = whitener(&(&factor * known.root(law)));
     let left = DMatrix::from_column_slice(p, 1, reduction.data) - &factor * DMatrix::from_columns(&[mean]);

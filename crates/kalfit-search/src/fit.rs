@@ -140,7 +140,7 @@ fn finished(
         (objective.filter_passes(), objective.score_passes(), objective.passes());
     let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
     let values = objective.values(&sought);
-    let (reductions, estimate) = objective.grounded(best.home)?;
+    let (reductions, estimate) = objective.with_reductions(best.home)?;
     Ok(DynamicFit {
         alpha,
         values,

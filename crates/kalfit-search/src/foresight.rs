@@ -25,16 +25,16 @@ impl SearchState<'_, '_> {
         let objective = self.objective;
         let Ok(reduced) = objective.reduce(values) else { return };
         let state = &self.home.estimate.state;
-        let Some(ahead) = state.ahead(&reduced.reductions, &objective.alpha(values), &step.inner) else { return };
+        let Some(upcoming_point) = state.upcoming_point(&reduced.reductions, &objective.alpha(values), &step.inner) else { return };
         let may_end = fine || step.decrement < HARDLY;
         let mut places = if fine { Vec::new() } else { around(objective, values, &self.active(), false) };
         if may_end {
             places.extend(around(objective, values, &self.active(), true));
-            ahead.ask_counts();
+            upcoming_point.request_counts();
         }
         for values in places {
             if let Ok(reduced) = objective.reduce(&values) {
-                ahead.ask(&reduced.reductions, &objective.alpha(&values));
+                upcoming_point.ask(&reduced.reductions, &objective.alpha(&values));
             }
         }
     }

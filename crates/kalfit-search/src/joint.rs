@@ -15,7 +15,7 @@ use crate::differences::Differences;
 use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint, SecondDerivatives};
 use crate::touching::Touching;
 use kalfit_algebra::symmetric;
-use kalfit_estimate::{NOTHING, NoiseInformation, Tangent};
+use kalfit_estimate::{NEGLIGIBLE_INFORMATION, NoiseInformation, Tangent};
 
 /// Number of values up to which values of single tests are not eliminated test by test.
 const DENSE: usize = 24;
@@ -540,8 +540,8 @@ fn informed(tangent: &Tangent) -> DMatrix<f64> {
     let is_bend = |i: usize| of_sigma.contains(&i) && own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
     // a mean that does not vary between tests has no size to compare with much larger variances
     let largest_mean = (0..tangent.mean).map(|i| of(i).0).fold(0.0, f64::max);
-    let is_mean = |i: usize| i < tangent.mean && of(i).0 > NOTHING * largest_mean;
-    let is_known = |i: usize| (own(i) > NOTHING * largest && !is_bend(i)) || is_mean(i);
+    let is_mean = |i: usize| i < tangent.mean && of(i).0 > NEGLIGIBLE_INFORMATION * largest_mean;
+    let is_known = |i: usize| (own(i) > NEGLIGIBLE_INFORMATION * largest && !is_bend(i)) || is_mean(i);
     let is_known: Vec<bool> = (0..n).map(is_known).collect();
     let entry = |i: usize, k: usize| if is_known[i] && is_known[k] { tangent.information[(i, k)] } else { 0.0 };
     DMatrix::from_fn(n, n, entry)

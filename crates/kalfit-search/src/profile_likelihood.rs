@@ -489,7 +489,7 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// The reductions at a solved α, and the estimate on them.
-    pub(crate) fn grounded(&self, home: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
+    pub(crate) fn with_reductions(&self, home: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
         let ProfilePoint { values, estimate, second_derivatives: told, .. } = home;
         if let SecondDerivatives::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
@@ -500,7 +500,7 @@ impl<'a> ProfileLikelihood<'a> {
             Some(reductions) => reductions,
             None => self.filter(&values)?.reductions,
         };
-        let state = estimate.state.grounded(&reductions).map_err(FitError::from)?;
+        let state = estimate.state.with_reductions(&reductions).map_err(FitError::from)?;
         Ok((reductions, Estimate { state, ..estimate }))
     }
 

@@ -9,14 +9,14 @@
 //! ```
 //!
 //! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again only far from
-//! it. Nor are reductions needed to find (μ, Σ): the classes gathered once serve for every θ near by ([`Noisy`]).
+//! it. Nor are reductions needed to find (μ, Σ): the classes gathered once serve for every θ near by ([`ScalableNoise`]).
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 
 use crate::{Coordinate, DynamicError, matrices};
-use kalfit_estimate::{Estimate, NoiseInformation, Noisy, Residual, Settings, Structure};
+use kalfit_estimate::{Estimate, NoiseInformation, ScalableNoise, Residual, Settings, Structure};
 use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_filter::score::InitialLaw;
 use kalfit_filter::score::{Gradient, expected_square};
@@ -45,7 +45,7 @@ struct Home {
     value: f64,
     /// Reductions at θ_0; r of each test is known.
     reductions: Reductions,
-    noisy: OnceLock<Noisy>,
+    noisy: OnceLock<ScalableNoise>,
 }
 
 /// ℓ at a θ and the best (μ, Σ).
@@ -159,7 +159,7 @@ impl Scale {
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some((home, variance)) = self.home(value, far, run)? else { return Ok(None) };
         if home.noisy.get().is_none() {
-            let _ = home.noisy.set(Noisy::new(&home.reductions, structure, settings)?);
+            let _ = home.noisy.set(ScalableNoise::new(&home.reductions, structure, settings)?);
         }
         let noisy = home.noisy.get().expect("it was set");
         let estimate = noisy.fit(variance, structure, near, settings)?;

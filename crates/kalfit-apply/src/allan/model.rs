@@ -44,13 +44,13 @@ impl SpanMap {
 
     /// m such spans, one after the other, by doubling.
     fn times(self, m: usize) -> SpanMap {
-        let (mut whole, mut doubled, mut left) = (None, self, m);
-        while left > 0 {
-            if left & 1 == 1 {
+        let (mut whole, mut doubled, mut remaining) = (None, self, m);
+        while remaining > 0 {
+            if remaining & 1 == 1 {
                 whole = Some(whole.map_or_else(|| doubled.clone(), |own: SpanMap| own.then(&doubled)));
             }
-            left >>= 1;
-            if left > 0 {
+            remaining >>= 1;
+            if remaining > 0 {
                 doubled = doubled.then(&doubled);
             }
         }
@@ -72,11 +72,11 @@ pub fn variance(filter: &Exported, measurement: usize, m: usize) -> Option<f64> 
     let SpanMap { M, d, W } = SpanMap::row(filter, measurement).times(m);
     let g = M.view((n, 0), (1, n)).into_owned();
     let c = &g * (M.view((0, 0), (n, n)) - DMatrix::<f64>::identity(n, n));
-    let mut along = DMatrix::zeros(1, n + 1);
-    along.view_mut((0, 0), (1, n)).copy_from(&g);
-    along[(0, n)] = -1.0;
+    let mut weights = DMatrix::zeros(1, n + 1);
+    weights.view_mut((0, 0), (1, n)).copy_from(&g);
+    weights[(0, n)] = -1.0;
     let centre = (&c * mean)[0] + (&g * d.rows(0, n))[0];
-    let spread = (&c * P * c.transpose())[0] + (&along * &W * along.transpose())[0] + W[(n, n)];
+    let spread = (&c * P * c.transpose())[0] + (&weights * &W * weights.transpose())[0] + W[(n, n)];
     let variance = 0.5 * (spread.max(0.0) + centre * centre) / (m as f64).powi(2);
     variance.is_finite().then_some(variance)
 }

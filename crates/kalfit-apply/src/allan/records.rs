@@ -3,9 +3,9 @@
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Largest deviation of a step from the usual step, as a fraction of the usual step.
-const JITTER: f64 = 0.1;
+const STEP_TOLERANCE: f64 = 0.1;
 /// Smallest fraction of the steps that must be usual for records to have a usual step.
-const REGULAR: f64 = 0.5;
+const MIN_USUAL_FRACTION: f64 = 0.5;
 
 /// Allan's variance of records over spans of one length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,18 +36,18 @@ pub fn median_step(records: &[Vec<(f64, f64)>]) -> Option<f64> {
     let middle = steps.len() / 2;
     let step = *(steps.len() > middle).then(|| steps.select_nth_unstable_by(middle, f64::total_cmp).1)?;
     let usual = steps.iter().filter(|own| is_usual(**own, step)).count();
-    (usual as f64 >= REGULAR * steps.len() as f64).then_some(step)
+    (usual as f64 >= MIN_USUAL_FRACTION * steps.len() as f64).then_some(step)
 }
 
 fn is_usual(step: f64, usual: f64) -> bool {
-    (step - usual).abs() <= JITTER * usual
+    (step - usual).abs() <= STEP_TOLERANCE * usual
 }
 
 /// The values of a record of (time, value) in stretches without a gap: neighbouring values are in one stretch if the
 /// step between them is `step`, give or take 10 %.
 pub fn stretches(record: &[(f64, f64)], step: f64) -> Vec<Vec<f64>> {
-    let apart = record.chunk_by(|before, after| is_usual(after.0 - before.0, step));
-    apart.map(|stretch| stretch.iter().map(|(_, value)| *value).collect()).collect()
+    let chunks = record.chunk_by(|before, after| is_usual(after.0 - before.0, step));
+    chunks.map(|stretch| stretch.iter().map(|(_, value)| *value).collect()).collect()
 }
 
 /// Allan's variance over spans of m values; `None` where no stretch contains two spans.

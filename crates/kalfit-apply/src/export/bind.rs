@@ -64,7 +64,7 @@ impl<'a> Binder<'a> {
             },
             E::Negate(a) => folded(E::Negate(own(a))),
             E::Not(a) => folded(E::Not(own(a))),
-            E::Binary(operator, a, b) => product(*operator, own(a), own(b)),
+            E::Binary(operator, a, b) => combined(*operator, own(a), own(b)),
             E::Call(function, arguments) => {
                 folded(E::Call(*function, arguments.iter().map(|argument| self.bind(argument)).collect()))
             }
@@ -171,7 +171,7 @@ fn folded(expression: Expression) -> Expression {
 }
 
 /// a ∘ b, as a number if one side alone determines it.
-fn product(operator: Operator, a: Box<Expression>, b: Box<Expression>) -> Expression {
+fn combined(operator: Operator, a: Box<Expression>, b: Box<Expression>) -> Expression {
     let zero = |side: &Expression| side.as_number() == Some(0.0);
     let truth = |side: &Expression| side.as_number().is_some_and(|x| x != 0.0);
     match operator {

@@ -150,16 +150,16 @@ fn reads(columns: &[String]) -> String {
 }
 
 fn known(levels: &[String]) -> String {
-    const MOST: usize = 8;
+    const MAX_LISTED: usize = 8;
     match levels.len() {
         0 => String::new(),
-        n if n <= MOST => format!(", expected one of {}", either(levels)),
-        n => format!(", expected one of {} and {} more", either(&levels[..MOST]), n - MOST),
+        n if n <= MAX_LISTED => format!(", expected one of {}", either(levels)),
+        n => format!(", expected one of {} and {} more", either(&levels[..MAX_LISTED]), n - MAX_LISTED),
     }
 }
 
 fn listed(varies: &[Varies]) -> String {
-    const MOST: usize = 4;
+    const MAX_LISTED: usize = 4;
     let mut all: Vec<String> = Vec::new();
     for group in varies.chunk_by(|a, b| a.what == b.what) {
         let columns: Vec<String> = group.iter().map(column).collect();
@@ -170,8 +170,8 @@ fn listed(varies: &[Varies]) -> String {
         };
         all.push(format!("{} depends on {columns}", group[0].what));
     }
-    let more = all.len().saturating_sub(MOST);
-    all.truncate(MOST);
+    let more = all.len().saturating_sub(MAX_LISTED);
+    all.truncate(MAX_LISTED);
     if more > 0 {
         all.push(format!("and {more} more"));
     }

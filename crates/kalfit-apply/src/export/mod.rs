@@ -93,20 +93,20 @@ pub fn export(
     if !binder.varies.is_empty() {
         return Err(ExportError::Varies { varies: binder.varies });
     }
-    let made = ConstantModel::new(&plain, wanted.step)?;
-    let start = starts.then(|| made.start(&mean, &own.covariance)).transpose()?;
+    let constant_model = ConstantModel::new(&plain, wanted.step)?;
+    let start = starts.then(|| constant_model.start(&mean, &own.covariance)).transpose()?;
     let measured = |m: &kalfit_model::Measurement| phase.model.measurements.iter().position(|own| own.name == m.name);
     Ok(Exported {
         phase: at,
         step: wanted.step,
-        F: made.phi(),
-        Q: made.noise(),
-        B: made.driven(&plain),
+        F: constant_model.phi(),
+        Q: constant_model.noise(),
+        B: constant_model.driven(&plain),
         measurements: plain.model.measurements.iter().filter_map(measured).collect(),
-        H: made.equations(),
-        D: made.offsets(&plain),
-        R: made.measured_noise()?,
-        inputs: made.inputs,
+        H: constant_model.equations(),
+        D: constant_model.offsets(&plain),
+        R: constant_model.measured_noise()?,
+        inputs: constant_model.inputs,
         filters: plain.filters,
         start,
     })

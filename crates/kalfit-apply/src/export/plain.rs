@@ -27,19 +27,19 @@ impl PlainModel {
         plain.model.clock.initial_time = None;
         plain.states(binder, starts)?;
         plain.measurements(binder)?;
-        let silent: Vec<bool> = plain.filters.iter().map(is_silent).collect();
+        let silent: Vec<bool> = plain.filters.iter().map(reads_no_row).collect();
         let own = &mut plain.model;
         for (i, j, covariance) in &mut own.process_noise_covariance {
-            put(binder, covariance, Subject::ProcessCovariance(*i, *j))?;
+            set_number(binder, covariance, Subject::ProcessCovariance(*i, *j))?;
         }
         own.noise_covariance.retain(|(i, j, _)| !silent[*i] && !silent[*j]);
         for (i, j, covariance) in &mut own.noise_covariance {
-            put(binder, covariance, Subject::NoiseCovariance(*i, *j))?;
+            set_number(binder, covariance, Subject::NoiseCovariance(*i, *j))?;
         }
         for entry in own.covariance.known.iter_mut().flatten().flatten() {
             start(binder, entry, Subject::KnownCovariance, starts)?;
         }
-        plain.drop_silent(&silent)?;
+        plain.drop_unread(&silent)?;
         Ok(plain)
     }
 
@@ -57,7 +57,7 @@ impl PlainModel {
                 drive = linear(binder, form, subject)?;
             }
             if let Some(variance) = variance {
-                put(binder, variance, Subject::ProcessNoise(i))?;
+                set_number(binder, variance, Subject::ProcessNoise(i))?;
             }
             self.drives.push(drive);
             if let Initial::Known { mean, variance } = &mut state.initial {
@@ -76,27 +76,27 @@ impl PlainModel {
             let filter = measurement.filter.take().map(|filter| binder.bind(&filter));
             // a measurement that reads no row at these values is ignored
             self.filters.push(filter);
-            if is_silent(&self.filters[m]) {
+            if reads_no_row(&self.filters[m]) {
                 self.offsets.push(Terms::new());
                 continue;
             }
             self.offsets.push(linear(binder, &mut measurement.equation, Subject::Equation(m))?);
-            put(binder, &mut measurement.noise_variance, Subject::Noise(m))?;
+            set_number(binder, &mut measurement.noise_variance, Subject::Noise(m))?;
         }
         Ok(())
     }
 
     /// Leaves out measurements that read no row.
-    fn drop_silent(&mut self, silent: &[bool]) -> Result<(), ExportError> {
+    fn drop_unread(&mut self, silent: &[bool]) -> Result<(), ExportError> {
         if !silent.contains(&false) {
             let measurements = self.model.measurements.iter().map(|measurement| measurement.name.clone()).collect();
             return Err(ExportError::NothingMeasured { measurements });
         }
         let place = |m: usize| silent[..m].iter().filter(|silent| !**silent).count();
         let kept = |m: usize| !silent[m];
-        self.model.measurements = kept_of(&self.model.measurements, &kept);
-        self.offsets = kept_of(&self.offsets, &kept);
-        self.filters = kept_of(&self.filters, &kept);
+        self.model.measurements = retained(&self.model.measurements, &kept);
+        self.offsets = retained(&self.offsets, &kept);
+        self.filters = retained(&self.filters, &kept);
         // a condition that holds on every row at these values is dropped
         self.filters.iter_mut().for_each(|filter| *filter = filter.take().filter(|own| own.as_number().is_none()));
         self.model.noise_covariance.iter_mut().for_each(|(i, j, _)| (*i, *j) = (place(*i), place(*j)));
@@ -105,18 +105,18 @@ impl PlainModel {
 }
 
 /// Whether a measurement with this condition reads no row at the fixed values.
-fn is_silent(filter: &Option<Expression>) -> bool {
+fn reads_no_row(filter: &Option<Expression>) -> bool {
     filter.as_ref().is_some_and(|own| own.as_number() == Some(0.0))
 }
 
-fn kept_of<T: Clone>(all: &[T], kept: &dyn Fn(usize) -> bool) -> Vec<T> {
+fn retained<T: Clone>(all: &[T], kept: &dyn Fn(usize) -> bool) -> Vec<T> {
     all.iter().enumerate().filter(|(m, _)| kept(*m)).map(|(_, one)| one.clone()).collect()
 }
 
 /// Replaces the coefficients of states by numbers, and splits the known input into terms.
 fn linear(binder: &mut Binder<'_>, form: &mut Linear, subject: Subject) -> Result<Terms, ExportError> {
     for (_, coefficient) in &mut form.terms {
-        put(binder, coefficient, subject)?;
+        set_number(binder, coefficient, subject)?;
     }
     form.constant = binder.bind(&form.constant);
     if form.constant.as_number().is_some() {
@@ -135,7 +135,7 @@ fn linear(binder: &mut Binder<'_>, form: &mut Linear, subject: Subject) -> Resul
     Ok(own)
 }
 
-fn put(binder: &mut Binder<'_>, expression: &mut Expression, subject: Subject) -> Result<(), ExportError> {
+fn set_number(binder: &mut Binder<'_>, expression: &mut Expression, subject: Subject) -> Result<(), ExportError> {
     *expression = Expression::Number(binder.number(expression, subject)?);
     Ok(())
 }
@@ -148,7 +148,7 @@ fn start(
     wanted: bool,
 ) -> Result<(), ExportError> {
     match wanted {
-        true => put(binder, expression, subject),
+        true => set_number(binder, expression, subject),
         false => {
             *expression = Expression::Number(0.0);
             Ok(())

@@ -29,7 +29,7 @@ fn add(factor: f64, expression: &Expression, terms: &mut Terms) {
         }
         Expression::Number(x) => push(factor * x, ONE, terms),
         other => {
-            let (coefficient, rest) = scaled(other);
+            let (coefficient, rest) = split_factor(other);
             match rest {
                 // a number times a sum
                 Expression::Negate(_) | Expression::Binary(Operator::Add | Operator::Subtract, ..) => {
@@ -49,18 +49,18 @@ fn push(coefficient: f64, term: Expression, terms: &mut Terms) {
 }
 
 /// A product or quotient as a number times the rest.
-fn scaled(expression: &Expression) -> (f64, Expression) {
+fn split_factor(expression: &Expression) -> (f64, Expression) {
     let Expression::Binary(operator @ (Operator::Multiply | Operator::Divide), a, b) = expression else {
         return match expression {
             Expression::Number(x) => (*x, ONE),
             Expression::Negate(a) => {
-                let (coefficient, rest) = scaled(a);
+                let (coefficient, rest) = split_factor(a);
                 (-coefficient, rest)
             }
             other => (1.0, other.clone()),
         };
     };
-    let ((left, a), (right, b)) = (scaled(a), scaled(b));
+    let ((left, a), (right, b)) = (split_factor(a), split_factor(b));
     let divides = *operator == Operator::Divide;
     let coefficient = if divides { left / right } else { left * right };
     let rest = match (a, b) {

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use crate::chained::Root;
 use crate::class::Class;
 use crate::lanes::layout::ClassLayout;
-use crate::order::{SumsWanted, most_tasks};
+use crate::order::{SumsWanted, max_tasks};
 use crate::point::Point;
 pub(crate) use accumulator::{Accumulator, ClassSums, Contribution};
 pub(crate) use alone::ClassEvaluator;
@@ -90,7 +90,7 @@ impl ClassBatches {
 
     /// The same classes with other noise: d and the scatter are multiplied by `unit`, and `change` is added to the
     /// constant.
-    pub(crate) fn shrunk(&self, unit: f64, change: f64) -> ClassBatches {
+    pub(crate) fn at_noise(&self, unit: f64, change: f64) -> ClassBatches {
         ClassBatches { constant: self.constant + change, unit: self.unit * unit, ..self.clone() }
     }
 
@@ -114,7 +114,7 @@ impl ClassBatches {
         let size = layout.size() * isa.lanes();
         let fewest = fewest(layout.p);
         let blocks = self.numbers.len() / size;
-        let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(most_tasks(layout.p)));
+        let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(max_tasks(layout.p)));
         let pass = |blocks: &[f64]| isa.run(whole::BlockPass { blocks, layout, unit: self.unit, point, root, wanted });
         self.numbers.par_chunks(each * size).map(pass).collect()
     }

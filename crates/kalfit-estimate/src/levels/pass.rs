@@ -15,7 +15,7 @@ use crate::levels::walk::LevelLaws;
 use crate::order::Order;
 use crate::order::{FlatMean, SumsWanted};
 use crate::point::Point;
-use crate::sums::{OfLevels, Sums};
+use crate::sums::{GroupDerivatives, Sums};
 use kalfit_algebra::rows::Rows;
 
 /// Most units of one design that are evaluated at once.
@@ -162,8 +162,8 @@ fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'
         let a = matrix(a);
         (&a + a.transpose()) * 0.5
     };
-    sums.of_levels =
-        Some(OfLevels { observed: symmetric(&totals.observed), cross, expected: symmetric(&totals.expected) });
+    sums.group_derivatives =
+        Some(GroupDerivatives { observed: symmetric(&totals.observed), cross, expected: symmetric(&totals.expected) });
     sums
 }
 

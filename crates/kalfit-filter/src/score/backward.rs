@@ -73,24 +73,24 @@ impl BackwardInput<'_> {
 
     /// The backward pass, to be called after the forward pass.
     pub(crate) fn back<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
-        work.adjoint.begin(&self.unknown(), self.after());
+        work.adjoint.begin(&self.posterior(), self.after());
         for at in (0..work.parts.len()).rev() {
-            let part = work.parts[at];
-            match part.kind {
+            let segment = work.parts[at];
+            match segment.kind {
                 SegmentKind::Equal(pass) => {
-                    if self.tracked() {
-                        work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
+                    if self.needs_covariance() {
+                        work.now.load(&work.marks[segment.mark..][..self.stride()], self.sizes());
                     }
-                    pass(self, &part, work);
-                    sink.measured(part.steps.0, &work.measured)?;
-                    if self.design.stretch(part.stretch).transition.is_some() {
-                        sink.moved(part.steps.0, &work.moved)?;
+                    pass(self, &segment, work);
+                    sink.measured(segment.steps.0, &work.measured)?;
+                    if self.design.stretch(segment.stretch).transition.is_some() {
+                        sink.moved(segment.steps.0, &work.moved)?;
                     }
                 }
-                SegmentKind::Steps => self.steps_back(&part, at + 1 < work.parts.len(), work, sink)?,
+                SegmentKind::Steps => self.steps_back(&segment, at + 1 < work.parts.len(), work, sink)?,
             }
         }
-        work.adjoint.start_covariance_adjoint(&self.unknown(), &mut work.variance);
+        work.adjoint.start_covariance_adjoint(&self.posterior(), &mut work.variance);
         sink.started(&work.adjoint.r, &work.variance)
     }
 
@@ -98,21 +98,21 @@ impl BackwardInput<'_> {
     /// these steps again.
     fn steps_back<S: Sink>(
         &self,
-        part: &Segment,
+        segment: &Segment,
         again: bool,
         work: &mut BackwardWork,
         sink: &mut S,
     ) -> Result<(), S::Error> {
-        if again && self.tracked() {
-            work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
-            self.forward_steps(part, work);
+        if again && self.needs_covariance() {
+            work.now.load(&work.marks[segment.mark..][..self.stride()], self.sizes());
+            self.forward_steps(segment, work);
         }
         let BackwardWork { e, left, before, adjoint, measured, moved, .. } = work;
         let stride = self.stride();
         let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
         let (mut transitions, mut rows) = (left.len() / stride.max(1), before.len() / stride.max(1));
-        let mut k = part.steps.1;
-        for step in part.steps(self.design).rev() {
+        let mut k = segment.steps.1;
+        for step in segment.steps(self.design).rev() {
             k -= 1;
             if !step.rows.is_empty() {
                 rows = rows.saturating_sub(step.rows.len());
@@ -125,7 +125,7 @@ impl BackwardInput<'_> {
                 transitions = transitions.saturating_sub(1);
                 let left =
                     self.wanted.motion.then(|| FilterSnapshot::new(&left[seen(left, transitions)], self.sizes()));
-                adjoint.moved(&self.unknown(), transition.view(), left, moved);
+                adjoint.moved(&self.posterior(), transition.view(), left, moved);
                 sink.moved(k, moved)?;
             }
         }
@@ -154,7 +154,7 @@ impl BackwardInput<'_> {
             }
             let h = if self.wanted.equation { Some((&mut bar.h[place * n..][..n], before(place))) } else { None };
             let bar = ScalarAdjoint { noise: &mut bar.noise[place], value: &mut bar.value[place], h };
-            adjoint.measured(&line, e[row], &self.unknown(), bar);
+            adjoint.measured(&line, e[row], &self.posterior(), bar);
         }
     }
 
@@ -164,7 +164,7 @@ impl BackwardInput<'_> {
     }
 
     /// Whether adjoints of φ or h are wanted, so that P and ΨC are needed.
-    fn tracked(&self) -> bool {
-        self.unknown().tracked()
+    fn needs_covariance(&self) -> bool {
+        self.posterior().needs_covariance()
     }
 }

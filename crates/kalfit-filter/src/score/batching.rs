@@ -19,7 +19,7 @@ pub struct Batching {
 impl Batching {
     /// The classes of tests that are scored together.
     pub fn classes(&self, reducer: &PhasedReducer, tests: &[PhasedTest]) -> &Replicates {
-        once(&self.classes, || classes_of(reducer, tests, &reducer.replicates(tests)))
+        get_or_compute(&self.classes, || classes_of(reducer, tests, &reducer.replicates(tests)))
     }
 
     /// Gives a reducer the steps of the tests, as far as they are known.
@@ -40,9 +40,9 @@ impl Batching {
             // where no score exists, α may decide which rows count, and so the batches
             return Ok((reducer.reduce(tests)?, None));
         }
-        let batches = once(&self.batches, || {
+        let batches = get_or_compute(&self.batches, || {
             let phases = reducer.replicates(tests);
-            let Replicates { sets, alone } = once(&self.classes, || classes_of(reducer, tests, &phases));
+            let Replicates { sets, alone } = get_or_compute(&self.classes, || classes_of(reducer, tests, &phases));
             let shared: Vec<usize> = sets.iter().map(|set| set[0]).collect();
             reducer.batches(tests, phases, (alone, &shared))
         });
@@ -52,10 +52,10 @@ impl Batching {
 }
 
 /// The value of a cell, computed on first use.
-fn once<T>(found: &OnceLock<T>, find: impl FnOnce() -> T) -> &T {
+fn get_or_compute<T>(found: &OnceLock<T>, compute: impl FnOnce() -> T) -> &T {
     if found.get().is_none() {
         // computed outside the lock: a thread that computes it may take up other work meanwhile
-        let _ = found.set(find());
+        let _ = found.set(compute());
     }
     found.get().expect("it was found")
 }

@@ -21,11 +21,11 @@ use kalfit_algebra::symmetric;
 use kalfit_model::Test;
 
 /// Eigenvalues of a scaled covariance below this fraction of the largest are outside its range.
-const RANGE: f64 = 1e-10;
+const RANGE_TOLERANCE: f64 = 1e-10;
 /// Largest scaled variance of a noise outside the range that is taken for rounding.
-const OUTSIDE: f64 = 1e-6;
+const MAX_VARIANCE_OUTSIDE: f64 = 1e-6;
 /// Largest E[v²] of a measurement without noise, as a fraction of the sum of its squared terms.
-const EXACT: f64 = 1e-12;
+const EXACT_TOLERANCE: f64 = 1e-12;
 
 impl Scorer<'_> {
     /// Q of a test and its gradient; `None` where the complete data are impossible at this α.
@@ -53,7 +53,7 @@ fn sum(
     let design = &work.design;
     let driven = design.frame.driven.len();
     let mut input = work.data.inputs.len();
-    let (mut value, mut known) = (0.0, TurnedCovariance::default());
+    let (mut value, mut known) = (0.0, RangeInverseCache::default());
     let mut k = design.steps();
     for step in design.each_step().rev() {
         k -= 1;
@@ -62,9 +62,9 @@ fn sum(
         adjoints.step_measured(test, k, work, &bar)?;
         if let (Some(new), Some(old)) = (step.transition, &complete.moves[k]) {
             input -= driven;
-            let passage =
-                Passage { new, input: &work.data.inputs[input..][..driven], old, before: &complete.states[k] };
-            let Some((own, bar)) = passage.expected(&design.frame, &mut known) else { return Ok(None) };
+            let change =
+                TransitionChange { new, input: &work.data.inputs[input..][..driven], old, before: &complete.states[k] };
+            let Some((own, bar)) = change.expected(&design.frame, &mut known) else { return Ok(None) };
             value += own;
             adjoints.step_moved(test, k, work, &bar)?;
         }
@@ -91,17 +91,17 @@ fn measurements(
         }
         let terms = || states.iter().map(|state| *state as usize).zip(h);
         let residual = z - terms().map(|(i, h)| h * state.mean[i]).sum::<f64>();
-        let carried = |i: usize| terms().map(|(j, h)| h * state.variance[i * n + j]).sum::<f64>(); // (Vh)_i
-        let spread = terms().map(|(i, h)| h * carried(i)).sum::<f64>();
+        let covariance_h = |i: usize| terms().map(|(j, h)| h * state.variance[i * n + j]).sum::<f64>(); // (Vh)_i
+        let spread = terms().map(|(i, h)| h * covariance_h(i)).sum::<f64>();
         let second = residual * residual + spread;
         if noise > 0.0 {
             value -= 0.5 * (noise.ln() + second / noise);
             bar.noise.push(0.5 * (second / noise - 1.0) / noise);
             bar.value.push(-residual / noise);
-            bar.h.extend((0..n).map(|i| (residual * state.mean[i] - carried(i)) / noise));
+            bar.h.extend((0..n).map(|i| (residual * state.mean[i] - covariance_h(i)) / noise));
         } else {
             let size = z * z + terms().map(|(i, h)| h * h * state.variance[i * n + i]).sum::<f64>();
-            if second > EXACT * size {
+            if second > EXACT_TOLERANCE * size {
                 return None;
             }
             bar.noise.push(0.0);
@@ -113,7 +113,7 @@ fn measurements(
 }
 
 /// A transition at a new α, and the moments of the same transition at the old α.
-struct Passage<'a> {
+struct TransitionChange<'a> {
     new: &'a Arc<Transition>,
     input: &'a [f64],
     old: &'a Move,
@@ -122,29 +122,29 @@ struct Passage<'a> {
 
 /// The last covariance that was inverted, with the transitions at the old and the new α.
 #[derive(Debug, Default)]
-struct TurnedCovariance {
-    last: Option<(Arc<Transition>, Arc<Transition>, Turned)>,
+struct RangeInverseCache {
+    last: Option<(Arc<Transition>, Arc<Transition>, RangeInverse)>,
 }
 
-impl TurnedCovariance {
-    fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&Turned> {
-        let same = |(a, b, _): &(Arc<Transition>, Arc<Transition>, Turned)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
+impl RangeInverseCache {
+    fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&RangeInverse> {
+        let same = |(a, b, _): &(Arc<Transition>, Arc<Transition>, RangeInverse)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
         if !self.last.as_ref().is_some_and(same) {
-            let turned = Turned::new(&old.dense_noise(r, |i| i), &new.dense_noise(r, |i| i))?;
-            self.last = Some((old.clone(), new.clone(), turned));
+            let range_inverse = RangeInverse::new(&old.dense_noise(r, |i| i), &new.dense_noise(r, |i| i))?;
+            self.last = Some((old.clone(), new.clone(), range_inverse));
         }
-        self.last.as_ref().map(|(.., turned)| turned)
+        self.last.as_ref().map(|(.., range_inverse)| range_inverse)
     }
 }
 
-impl Passage<'_> {
+impl TransitionChange<'_> {
     /// The transition's part of Q, and its derivatives. w at the new α is w at the old α plus d - Dx̃, where D = φ' -
     /// φ, d = -(Dx̄ + b' - b) and x̃ = x - x̄.
-    fn expected(&self, frame: &StateFrame, known: &mut TurnedCovariance) -> Option<(f64, TransitionAdjoint)> {
+    fn expected(&self, frame: &StateFrame, known: &mut RangeInverseCache) -> Option<(f64, TransitionAdjoint)> {
         let (n, r) = (frame.n, frame.r);
         let pattern = &self.new.pattern;
-        let turned = known.of(&self.old.transition, self.new, r)?;
-        let (step, shift) = self.difference(frame, turned)?;
+        let range_inverse = known.of(&self.old.transition, self.new, r)?;
+        let (step, shift) = self.difference(frame, range_inverse)?;
         let noise = &self.old.noise;
         let variance = DMatrix::from_row_slice(n, n, &self.before.variance);
         let cross = DMatrix::from_row_slice(r, n, &noise.cross) - &step * variance; // Cov[w', x]
@@ -154,10 +154,10 @@ impl Passage<'_> {
         let mut second = DMatrix::from_row_slice(r, r, &noise.second);
         second -= &step * old_cross.transpose() + &cross * step.transpose();
         second += &shift * mean.transpose() + &mean * shift.transpose() + &shift * shift.transpose();
-        let part = turned.expected(&second)?;
+        let part = range_inverse.expected(&second)?;
         let mean = mean + shift;
-        let reached = &turned.inverse * (cross + &mean * DVector::from_column_slice(&self.before.mean).transpose());
-        let pull = &turned.inverse * mean;
+        let reached = &range_inverse.inverse * (cross + &mean * DVector::from_column_slice(&self.before.mean).transpose());
+        let pull = &range_inverse.inverse * mean;
         let mut phi = vec![0.0; self.new.phi.len()];
         for row in pattern.moved.iter().filter(|row| (row.state as usize) < r) {
             for k in row.start as usize..row.end as usize {
@@ -171,10 +171,10 @@ impl Passage<'_> {
     }
 
     /// D (r × n) and d (r); `None` where a state without noise would move differently.
-    fn difference(&self, frame: &StateFrame, turned: &Turned) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    fn difference(&self, frame: &StateFrame, range_inverse: &RangeInverse) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let (n, r) = (frame.n, frame.r);
         let (mut step, mut shift) = (DMatrix::zeros(r, n), DVector::zeros(r));
-        let free = |i: usize| i < r && turned.noisy[i];
+        let free = |i: usize| i < r && range_inverse.noisy[i];
         let pattern = &self.new.pattern;
         for row in &pattern.moved {
             let i = row.state as usize;
@@ -213,10 +213,10 @@ struct StartPart {
 fn start(design: &Design, known: &[f64], old: &InitialMoments) -> Option<StartPart> {
     let (n, r) = (design.frame.n, design.frame.r);
     let new = DMatrix::from_fn(r, r, |i, j| design.variance[i.max(j) * r + i.min(j)]);
-    let turned = Turned::new(&DMatrix::from_row_slice(r, r, &old.variance), &new)?;
+    let range_inverse = RangeInverse::new(&DMatrix::from_row_slice(r, r, &old.variance), &new)?;
     let mut shift = DVector::zeros(r);
     for i in 0..n {
-        if i < r && turned.noisy[i] {
+        if i < r && range_inverse.noisy[i] {
             shift[i] = old.known[i] - known[i];
         } else if differ(known[i], old.known[i]) {
             return None;
@@ -225,15 +225,15 @@ fn start(design: &Design, known: &[f64], old: &InitialMoments) -> Option<StartPa
     let mean = DVector::from_column_slice(&old.mean);
     let mut second = DMatrix::from_row_slice(r, r, &old.second);
     second += &shift * mean.transpose() + &mean * shift.transpose() + &shift * shift.transpose();
-    let part = turned.expected(&second)?;
-    let pull = &turned.inverse * (mean + shift);
+    let part = range_inverse.expected(&second)?;
+    let pull = &range_inverse.inverse * (mean + shift);
     let mean = (0..n).map(|i| if i < r { pull[i] } else { 0.0 }).collect();
     Some(StartPart { value: part.value, mean, variance: part.bar.transpose().as_slice().to_vec() })
 }
 
 /// A covariance inverted on its range, in units of the old standard deviations.
 #[derive(Debug)]
-struct Turned {
+struct RangeInverse {
     inverse: DMatrix<f64>,
     /// log|Q| on the range, up to a constant.
     log: f64,
@@ -249,9 +249,9 @@ struct QuadraticTerm {
     bar: DMatrix<f64>,
 }
 
-impl Turned {
+impl RangeInverse {
     /// Inverts `new` on its range; `None` where the range is not that of `old`.
-    fn new(old: &DMatrix<f64>, new: &DMatrix<f64>) -> Option<Turned> {
+    fn new(old: &DMatrix<f64>, new: &DMatrix<f64>) -> Option<RangeInverse> {
         let r = old.nrows();
         let noisy: Vec<bool> = (0..r).map(|i| old[(i, i)] > 0.0).collect();
         let list: Vec<usize> = (0..r).filter(|&i| noisy[i]).collect();
@@ -264,7 +264,7 @@ impl Turned {
         };
         let range = |values: &[f64]| {
             let most = values.iter().copied().fold(0.0, f64::max);
-            values.iter().map(|v| *v > RANGE * most).collect::<Vec<bool>>()
+            values.iter().map(|v| *v > RANGE_TOLERANCE * most).collect::<Vec<bool>>()
         };
         let (values, vectors) = symmetric::eigen(&scaled(new));
         let inside = range(&values);
@@ -273,26 +273,26 @@ impl Turned {
         if count(&inside) != count(&range(&before)) {
             return None;
         }
-        let mut turned = Turned { inverse: DMatrix::zeros(r, r), log: 0.0, noisy, outside: DMatrix::zeros(0, r) };
+        let mut range_inverse = RangeInverse { inverse: DMatrix::zeros(r, r), log: 0.0, noisy, outside: DMatrix::zeros(0, r) };
         for (k, value) in values.iter().enumerate() {
             let mut along = DVector::zeros(r);
             list.iter().enumerate().for_each(|(i, &state)| along[state] = scale[i] * vectors[(i, k)]);
             if inside[k] {
-                turned.log += value.ln();
-                turned.inverse += &along * along.transpose() / *value;
+                range_inverse.log += value.ln();
+                range_inverse.inverse += &along * along.transpose() / *value;
             } else {
-                let at = turned.outside.nrows();
-                turned.outside = turned.outside.insert_row(at, 0.0);
-                turned.outside.set_row(at, &along.transpose());
+                let at = range_inverse.outside.nrows();
+                range_inverse.outside = range_inverse.outside.insert_row(at, 0.0);
+                range_inverse.outside.set_row(at, &along.transpose());
             }
         }
-        Some(turned)
+        Some(range_inverse)
     }
 
     /// -½ (log|Q| + tr Q⁻¹E) with E = `second`; `None` where the noise would have to leave the range.
     fn expected(&self, second: &DMatrix<f64>) -> Option<QuadraticTerm> {
         for along in self.outside.row_iter() {
-            if (along * second * along.transpose())[(0, 0)] > OUTSIDE {
+            if (along * second * along.transpose())[(0, 0)] > MAX_VARIANCE_OUTSIDE {
                 return None;
             }
         }

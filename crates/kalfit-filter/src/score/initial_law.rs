@@ -77,7 +77,7 @@ impl InitialLaw {
     }
 
     /// The posterior of ξ is known of each test, from all tests of its unit.
-    pub fn is_of_each(&self) -> bool {
+    pub fn has_posteriors(&self) -> bool {
         self.given.is_some()
     }
 

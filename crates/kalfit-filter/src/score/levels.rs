@@ -38,7 +38,7 @@ impl Levels {
                 for (at, evidence) in test.phases.iter().enumerate() {
                     let (Evidence::Rows(rows), None) = (evidence, &model.phases[at].filter) else { continue };
                     let phase = &reducer.phases()[at];
-                    let own = counted(&phase.reducer, slots, &degree, rows, &mut work.phases[at]);
+                    let own = noise_slots(&phase.reducer, slots, &degree, rows, &mut work.phases[at]);
                     let named =
                         |fault: Box<Fault>| phase.named(fault.name(&phase.reducer.preparer().model, Some(rows)));
                     found.extend(own.map_err(named)?);
@@ -103,7 +103,7 @@ fn free_in<'m>(expressions: impl Iterator<Item = &'m Expression>, slots: &Slots)
 }
 
 /// For each noise of a test that is scaled by a level, the slot of the level.
-fn counted(
+fn noise_slots(
     reducer: &Reducer,
     slots: &Slots,
     degree: &[Option<f64>],
@@ -149,7 +149,7 @@ fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expr
     for (site, expression) in places {
         let is_alone = match *site {
             Site::Noise(m) => !model.noise_covariance.iter().any(|(i, j, _)| *i == m || *j == m),
-            Site::ProcessNoise(state) => !is_settled && alone(model, state, &free),
+            Site::ProcessNoise(state) => !is_settled && has_separate_noise(model, state, &free),
             _ => false,
         };
         let own = scales(expression, slots, parameter).filter(|d| is_alone && *d != 0.0)?;
@@ -163,7 +163,7 @@ fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expr
 
 /// Whether a state's noise is uncorrelated with the others and reaches no other state within a step, so that a factor
 /// of its variance scales its Q of every step.
-fn alone(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> bool {
+fn has_separate_noise(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> bool {
     if model.process_noise_covariance.iter().any(|(i, j, _)| *i == state || *j == state) {
         return false;
     }

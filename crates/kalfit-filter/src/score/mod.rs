@@ -35,7 +35,7 @@ pub use batching::Batching;
 pub(crate) use classes::classes_of;
 pub use initial_law::{InitialLaw, JointPosteriors, by_columns};
 pub use levels::{Levels, carried, dependences};
-pub use moments::{Known, Moments, expected_square};
+pub use moments::{ExactConditional, Moments, expected_square};
 pub use phased::{PhasedComplete, PhasedScorer};
 pub use pullback::{Gradient, add};
 pub use smoother::{PhaseLaws, SmootherPlan};

@@ -28,22 +28,22 @@ impl Moments {
         let line = |k: usize, x: &dyn Fn(usize) -> f64| -> f64 {
             (k..self.mean.len()).map(|i| reduction.factor[k + i * (i + 1) / 2] * x(i)).sum()
         };
-        let of_row = |k: usize| {
+        let square_of_row = |k: usize| {
             let left = reduction.data[k] - line(k, &|i| self.mean[i]);
             let spread = (0..self.columns).map(|c| line(k, &|i| self.root[i * self.columns + c]).powi(2));
             left * left + spread.sum::<f64>()
         };
-        (0..self.mean.len()).map(of_row).sum()
+        (0..self.mean.len()).map(square_of_row).sum()
     }
 }
 
 /// The law of ξ given the exact measurements of a test; `None` where there are none or they are ignored.
-pub struct Known(Option<Conditional>);
+pub struct ExactConditional(Option<Conditional>);
 
-impl Known {
+impl ExactConditional {
     /// Exact measurements Cξ are ignored where their covariance CΣC' is singular.
-    pub fn of(reduction: ReductionRef<'_>, law: &InitialLaw) -> Known {
-        Known(reduction.exact.and_then(|exact| Conditional::new(exact.matrix(law.root.nrows()), &law.root)))
+    pub fn of(reduction: ReductionRef<'_>, law: &InitialLaw) -> ExactConditional {
+        ExactConditional(reduction.exact.and_then(|exact| Conditional::new(exact.matrix(law.root.nrows()), &law.root)))
     }
 
     pub fn mean(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> DVector<f64> {
@@ -77,13 +77,13 @@ impl Known {
 }
 
 /// Largest magnitude of the entries of RF with which S = I + RΣR' is formed; beyond it rounding loses the identity.
-const LARGE: f64 = 1e4;
+const MAX_RF_ENTRY: f64 = 1e4;
 
 /// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e
 /// and RVR' = I - S⁻¹. It is computed from the moments where S is large, under the restricted likelihood, with a law
 /// per test, and with exact measurements.
 pub fn expected_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
-    let special = law.is_restricted() || law.is_of_each() || reduction.exact.is_some();
+    let special = law.is_restricted() || law.has_posteriors() || reduction.exact.is_some();
     let own = if special { None } else { plain_square(reduction, law) };
     own.unwrap_or_else(|| moments(reduction, law).expected_square(reduction))
 }
@@ -96,7 +96,7 @@ fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
     };
     let mean = law.mean_of(reduction.covariates);
     let spread: Vec<f64> = (0..p * columns).map(|at| line(at / columns, &|i| law.root[(i, at % columns)])).collect();
-    if !spread.iter().all(|x| x.abs() <= LARGE) {
+    if !spread.iter().all(|x| x.abs() <= MAX_RF_ENTRY) {
         return None;
     }
     // row by row: L with LL' = S, then L⁻¹ and L⁻¹e
@@ -131,7 +131,7 @@ pub(crate) fn moments(reduction: ReductionRef<'_>, law: &InitialLaw) -> Moments 
     }
     let p = law.root.nrows();
     let factor = unpack(reduction.factor, p);
-    let known = Known::of(reduction, law);
+    let known = ExactConditional::of(reduction, law);
     let mean = known.mean(reduction, law);
     let root = posterior_root(&factor, known.root(law));
     let residual = DVector::from_column_slice(reduction.data) - &factor * &mean;
@@ -164,7 +164,7 @@ impl Moments {
     /// x̂ = μ + CC'R'(d - Rμ) of another test with the same R under the same law, which must not be a restricted one.
     pub(crate) fn mean_of(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> Vec<f64> {
         let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);
-        let mut mean = Known::of(reduction, law).mean(reduction, law).as_slice().to_vec();
+        let mut mean = ExactConditional::of(reduction, law).mean(reduction, law).as_slice().to_vec();
         let left = |i: usize| reduction.data[i] - (i..p).map(|k| factor(i, k) * mean[k]).sum::<f64>();
         let left: Vec<f64> = (0..p).map(left).collect();
         let told: Vec<f64> = (0..p).map(|k| (0..=k).map(|i| factor(i, k) * left[i]).sum()).collect();

@@ -93,9 +93,9 @@ impl<'a> PhasedScorer<'a> {
         let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none = own.then(|| Replicates::none(tests.len()));
         let classes = none.as_ref().unwrap_or(classes);
-        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.of_class(of, members, room);
+        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.score_class(of, members, room);
         let mut scores: Vec<Score> = classes.sets.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        scores.extend(self.apart(of, &classes.alone));
+        scores.extend(self.score_unclassed(of, &classes.alone));
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }
@@ -188,7 +188,7 @@ impl<'a> PhasedScorer<'a> {
     }
 
     /// The part of a test's score that goes through its carries.
-    fn carried(
+    fn carry_gradient(
         &self,
         test: &PhasedTest,
         phases: &[SmoothedPhase],

@@ -119,7 +119,7 @@ fn inherited(piece: &PhaseReduction) -> &Inherited {
 }
 
 /// The block matrix [A B].
-fn beside(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+fn join_columns(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     let mut both = DMatrix::zeros(a.nrows(), a.ncols() + b.ncols());
     both.columns_mut(0, a.ncols()).copy_from(a);
     both.columns_mut(a.ncols(), b.ncols()).copy_from(b);

@@ -211,7 +211,7 @@ fn long_records_that_are_alike_are_scored_as_one_by_one() {
         let (mut work, mut backward, mut adjoints) =
             (reducer.workspace(), BackwardWork::default(), scorer.pullback.adjoints());
         let room = (&mut work, &mut backward, &mut adjoints);
-        let together = scorer.of_class(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
+        let together = scorer.score_class(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
         let alone = scorer.scores(&tests, &moments).expect("sound");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
             assert_eq!(found.len(), free, "each value counts");

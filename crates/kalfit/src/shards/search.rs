@@ -62,15 +62,15 @@ pub fn go_on(
     let slots = slots(model);
     refuse_choices(asks, &slots)?;
     let opening = first(model, &asks.settings)?;
-    let Some((_, begun)) = known.iter().find(|(asked, _)| *asked == opening[0]) else {
+    let Some((_, opening_sum)) = known.iter().find(|(asked, _)| *asked == opening[0]) else {
         return Ok(Next::Asks(opening));
     };
-    let begun = begun.clone().unwrap_or_default();
-    if begun.first().is_none_or(|tests| *tests < 1.0) {
+    let opening_sum = opening_sum.clone().unwrap_or_default();
+    if opening_sum.first().is_none_or(|tests| *tests < 1.0) {
         return Err(ShardError::NoTests);
     }
     let answers = Arc::new(Answers::new(known));
-    let mut watched = SearchWaits { answers: answers.clone(), progress };
+    let mut stopping = StopWhenWaiting { answers: answers.clone(), progress };
     let choices = Choices {
         std_errors: asks.std_errors,
         intervals: IntervalKind::Wald,
@@ -78,8 +78,8 @@ pub fn go_on(
         tests: TestsChoice::None,
     };
     let found = match slots.is_empty() {
-        true => at_known(model, (asks, choices), (&answers, &slots), provenance, &mut watched),
-        false => with_free(model, (asks, choices), (&answers, &slots, &begun), provenance, &mut watched),
+        true => with_known(model, (asks, choices), (&answers, &slots), provenance, &mut stopping),
+        false => with_free(model, (asks, choices), (&answers, &slots, &opening_sum), provenance, &mut stopping),
     };
     let wanted = answers.wanted();
     if !wanted.is_empty() {
@@ -90,7 +90,7 @@ pub fn go_on(
     Ok(Next::Ends(Box::new(record)))
 }
 
-fn at_known(
+fn with_known(
     model: &PhasedModel,
     (asks, choices): (&Asks, Choices),
     (answers, slots): (&Arc<Answers>, &Slots),
@@ -109,11 +109,11 @@ fn at_known(
 fn with_free(
     model: &PhasedModel,
     (asks, choices): (&Asks, Choices),
-    (answers, slots, begun): (&Arc<Answers>, &Slots, &[f64]),
+    (answers, slots, opening_sum): (&Arc<Answers>, &Slots, &[f64]),
     provenance: Provenance,
     progress: &mut dyn Progress,
 ) -> Result<FitRecord, ShardError> {
-    let opening = SuggestedValues::of(begun, &Coordinate::of(model, slots));
+    let opening = SuggestedValues::of(opening_sum, &Coordinate::of(model, slots));
     let SuggestedValues { start, units, .. } =
         opening.ok_or(ShardError::Question { what: "the number of free values" })?;
     // α, μ and Σ move together, so that a step needs only one sum
@@ -138,8 +138,8 @@ fn slots(model: &PhasedModel) -> Slots {
 pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Result<(), ShardError> {
     let free = |value: Value| matches!(value, Value::Free { .. });
     let parameters = &model.shared().parameters;
-    if let Some(apart) = parameters.iter().find(|p| p.per.is_some() && free(p.value)) {
-        return Err(ShardError::PerLevel { parameter: apart.name.clone() });
+    if let Some(per_level) = parameters.iter().find(|p| p.per.is_some() && free(p.value)) {
+        return Err(ShardError::PerLevel { parameter: per_level.name.clone() });
     }
     if settings.phases == Combination::Marginal && !model.is_single() {
         return Err(ShardError::Marginal);
@@ -170,12 +170,12 @@ fn refuse_choices(asks: &Asks, slots: &Slots) -> Result<(), ShardError> {
 }
 
 /// A progress that stops the search once it needs an answer that is not known.
-struct SearchWaits<'a> {
+struct StopWhenWaiting<'a> {
     answers: Arc<Answers>,
     progress: &'a mut dyn Progress,
 }
 
-impl Progress for SearchWaits<'_> {
+impl Progress for StopWhenWaiting<'_> {
     fn step(&mut self, step: Step) {
         if !self.answers.is_waiting() {
             self.progress.step(step);

@@ -32,7 +32,7 @@ pub struct Shard {
     /// Set if the only free value scales all noise, so that the filters need to run at few of its values only.
     scale: Option<Scale>,
     /// Cached results for the tests at the α requested last.
-    kept: Mutex<Option<ShardAtAlpha>>,
+    cached: Mutex<Option<ShardAtAlpha>>,
 }
 
 /// Reductions and filtered batches of the tests at one α.
@@ -69,8 +69,8 @@ impl Shard {
         let mut groups: Vec<String> = outermost.map(|group| labels.text(group.path[0]).to_owned()).collect();
         groups.sort();
         let scale = Scale::of(&model, &tests, &slots);
-        let (batching, kept) = (Batching::default(), Mutex::new(None));
-        Ok(Shard { model, tests, grouping, groups, slots, settings, batching, scale, kept })
+        let (batching, cached) = (Batching::default(), Mutex::new(None));
+        Ok(Shard { model, tests, grouping, groups, slots, settings, batching, scale, cached })
     }
 
     /// Number of tests.
@@ -92,19 +92,19 @@ impl Shard {
             return Err(ShardError::Question { what: "the number of free values" });
         }
         if asked.question == Question::Opening {
-            let told = (&self.slots, &self.settings);
-            return Ok(Some(dynamic::opening(&self.model, &self.tests, told, &mut Silent)));
+            let context = (&self.slots, &self.settings);
+            return Ok(Some(dynamic::opening(&self.model, &self.tests, context, &mut Silent)));
         }
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if kept.as_ref().is_none_or(|kept| kept.values != asked.values) {
-            *kept = None;
+        let mut cached = self.cached.lock().unwrap_or_else(PoisonError::into_inner);
+        if cached.as_ref().is_none_or(|cached| cached.values != asked.values) {
+            *cached = None;
             match self.reduce(&asked.values) {
-                Ok(made) => *kept = Some(made),
+                Ok(made) => *cached = Some(made),
                 Err(error) if self.slots.is_empty() => return Err(error),
                 Err(_) => return Ok(None),
             }
         }
-        let ShardAtAlpha { summed, filtered, .. } = kept.as_mut().expect("it was set");
+        let ShardAtAlpha { summed, filtered, .. } = cached.as_mut().expect("it was set");
         match &asked.question {
             Question::Score { law } => self.score(&asked.values, (summed, filtered.as_ref()), law),
             Question::Observability { frame } => match counted(summed, frame) {
@@ -117,7 +117,7 @@ impl Shard {
 
     fn reduce(&self, values: &[f64]) -> Result<ShardAtAlpha, ShardError> {
         let alpha = self.slots.alpha(self.model.shared(), values);
-        let filter = |value: f64| Ok(self.passed(&[value])?);
+        let filter = |value: f64| Ok(self.reduce_only(&[value])?);
         let scaled = match &self.scale {
             Some(scale) => scale.reductions_from(origin(values[0]), values[0], &filter).map_err(Box::new)?,
             None => None,
@@ -130,7 +130,7 @@ impl Shard {
     /// Runs the filters, storing what scores need unless nothing is free or `scale` gives the scores.
     fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<FilteredPhases>), Box<ReduceError>> {
         if self.slots.is_empty() || self.scale.is_some() {
-            return Ok((self.passed(values)?, None));
+            return Ok((self.reduce_only(values)?, None));
         }
         let alpha = self.slots.alpha(self.model.shared(), values);
         let mut reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
@@ -138,7 +138,7 @@ impl Shard {
     }
 
     /// Runs the filters for their reductions alone.
-    fn passed(&self, values: &[f64]) -> Result<Reductions, Box<ReduceError>> {
+    fn reduce_only(&self, values: &[f64]) -> Result<Reductions, Box<ReduceError>> {
         let alpha = self.slots.alpha(self.model.shared(), values);
         PhasedReducer::passing(&self.model, &alpha, &self.slots)?.reduce(&self.tests).map_err(Box::new)
     }

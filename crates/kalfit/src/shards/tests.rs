@@ -28,7 +28,7 @@ fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize
     for round in 0..200 {
         match go_on(ensemble.model(), asks, known.clone(), Provenance::default(), &mut Silent).unwrap() {
             Next::Ends(record) => {
-                forget_nothing(&shards, (0..places).map(shard).collect(), &known);
+                assert_cache_has_no_effect(&shards, (0..places).map(shard).collect(), &known);
                 return (*record, round);
             }
             Next::Asks(all) => {
@@ -44,7 +44,7 @@ fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize
 }
 
 /// Places that have answered many questions give the same answers as fresh ones, to the bit.
-fn forget_nothing(old: &[Shard], fresh: Vec<Shard>, known: &[(Asked, Answer)]) {
+fn assert_cache_has_no_effect(old: &[Shard], fresh: Vec<Shard>, known: &[(Asked, Answer)]) {
     for (asked, _) in known.iter().rev().step_by(3) {
         for (old, fresh) in old.iter().zip(&fresh) {
             assert_eq!(old.answer(asked), fresh.answer(asked), "{asked:?}");

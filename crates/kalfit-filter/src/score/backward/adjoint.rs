@@ -60,8 +60,8 @@ struct Scalar<'a, T, E> {
 impl<T: Real> Adjoint<T> {
     /// Begins after the last step: with zero, or with (r, ρ, N) from later phases.
     #[inline(always)]
-    pub(super) fn begin(&mut self, unknown: &PosteriorRoot<'_, T>, ending: Option<[&[T]; 3]>) {
-        let (n, r, c) = (unknown.frame.n, unknown.frame.r, unknown.columns);
+    pub(super) fn begin(&mut self, posterior: &PosteriorRoot<'_, T>, ending: Option<[&[T]; 3]>) {
+        let (n, r, c) = (posterior.frame.n, posterior.frame.r, posterior.columns);
         for (list, size) in [(&mut self.r, n), (&mut self.rho, n * c), (&mut self.N, r * r)] {
             list.clear();
             list.resize(size, T::splat(0.0));
@@ -75,8 +75,8 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂P0, each entry by itself.
     #[inline(always)]
-    pub(super) fn start_covariance_adjoint(&self, unknown: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
-        let (r, c, half) = (unknown.frame.r, unknown.columns, T::splat(0.5));
+    pub(super) fn start_covariance_adjoint(&self, posterior: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
+        let (r, c, half) = (posterior.frame.r, posterior.columns, T::splat(0.5));
         out.clear();
         for ij in 0..r * r {
             out.push(half * outer_entry(&self.r, &self.rho, c, ij / r, ij % r) - half * self.N[ij]);
@@ -89,28 +89,28 @@ impl<T: Real> Adjoint<T> {
         &mut self,
         line: &ScalarMeasurement<'_, T, E>,
         e: T,
-        unknown: &PosteriorRoot<'_, T>,
+        posterior: &PosteriorRoot<'_, T>,
         bar: ScalarAdjoint<'_, T>,
     ) {
-        let KNK = self.gain_terms(line, unknown);
-        let u = smoothing_error(e, (line.weight, line.K), &self.r[..unknown.frame.r]);
+        let KNK = self.gain_terms(line, posterior);
+        let u = smoothing_error(e, (line.weight, line.K), &self.r[..posterior.frame.r]);
         let scalar = Scalar { u, states: line.states, h: line.h, D: line.weight + KNK };
         *bar.noise = T::splat(0.5) * (u.fma(u, dot(&*self.upsilon, &self.upsilon)) - scalar.D);
         *bar.value = -u;
         absorb((scalar.states, scalar.h), &[u], &mut self.r);
         absorb((scalar.states, scalar.h), &self.upsilon, &mut self.rho);
         if let Some((bar, before)) = bar.h {
-            self.equation_bar(&scalar, before, bar);
+            self.h_adjoint(&scalar, before, bar);
         }
         self.information_back(&scalar);
     }
 
     /// υ and NK of a measurement; returns K'NK.
     #[inline(always)]
-    fn gain_terms<E: Entries<T>>(&mut self, line: &ScalarMeasurement<'_, T, E>, unknown: &PosteriorRoot<'_, T>) -> T {
-        let (r, c) = (unknown.frame.r, unknown.columns);
+    fn gain_terms<E: Entries<T>>(&mut self, line: &ScalarMeasurement<'_, T, E>, posterior: &PosteriorRoot<'_, T>) -> T {
+        let (r, c) = (posterior.frame.r, posterior.columns);
         let Adjoint { rho, N, NK, upsilon, .. } = self;
-        unknown.times_root(line.T, upsilon);
+        posterior.times_root(line.T, upsilon);
         for upsilon in upsilon.iter_mut() {
             *upsilon = *upsilon * line.weight;
         }
@@ -148,7 +148,7 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂h; r and ρ already include this measurement, N does not.
     #[inline(always)]
-    fn equation_bar<E: Entries<T>>(&mut self, scalar: &Scalar<'_, T, E>, before: FilterSnapshot<'_, T>, bar: &mut [T]) {
+    fn h_adjoint<E: Entries<T>>(&mut self, scalar: &Scalar<'_, T, E>, before: FilterSnapshot<'_, T>, bar: &mut [T]) {
         let Adjoint { r: adjoint, rho, NK, upsilon, smoothed, .. } = self;
         let (r, c) = (NK.len(), upsilon.len());
         for (i, bar) in bar.iter_mut().enumerate() {
@@ -168,20 +168,20 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// The backward pass through a transition, whose adjoints go to `bar`. `left`: the filter before the transition,
+    /// The backward pass through a transition, whose adjoints go to `bar`. `before_transition`: the filter before the transition,
     /// where adjoints of φ are wanted.
     #[inline(always)]
     pub(super) fn moved<E: Entries<T>>(
         &mut self,
-        unknown: &PosteriorRoot<'_, T>,
+        posterior: &PosteriorRoot<'_, T>,
         transition: TransitionView<'_, E>,
-        left: Option<FilterSnapshot<'_, T>>,
+        before_transition: Option<FilterSnapshot<'_, T>>,
         bar: &mut TransitionAdjoint<T>,
     ) {
-        let (r, c) = (unknown.frame.r, unknown.columns);
+        let (r, c) = (posterior.frame.r, posterior.columns);
         let (Adjoint { r: adjoint, rho, N, before, rows, .. }, pattern) = (&mut *self, transition.pattern);
         bar.input.clear();
-        for &state in &unknown.frame.driven {
+        for &state in &posterior.frame.driven {
             bar.input.push(adjoint[state as usize]);
         }
         bar.q.clear();
@@ -192,7 +192,7 @@ impl<T: Real> Adjoint<T> {
         }
         bar.phi.clear();
         bar.phi.resize(pattern.columns.len(), T::splat(0.0));
-        if left.is_some() {
+        if before_transition.is_some() {
             before.clear();
             before.extend_from_slice(adjoint);
             before.extend_from_slice(rho);
@@ -201,24 +201,24 @@ impl<T: Real> Adjoint<T> {
         advance_transposed(adjoint, (n, 1), transition, rows);
         advance_transposed(rho, (n, c), transition, rows);
         times_phi(N, r, transition, rows);
-        if let Some(left) = left {
-            self.motion_bar(pattern, left, (r, c), &mut bar.phi);
+        if let Some(before_transition) = before_transition {
+            self.phi_adjoint(pattern, before_transition, (r, c), &mut bar.phi);
         }
         advance_transposed(&mut self.N, (r, r), transition, &mut self.rows);
     }
 
     /// ∂ℓ/∂φ, after r and ρ have become φ'r and φ'ρ, and N has become Nφ.
     #[inline(always)]
-    fn motion_bar(&mut self, pattern: &Pattern, left: FilterSnapshot<'_, T>, (r, c): (usize, usize), bar: &mut [T]) {
+    fn phi_adjoint(&mut self, pattern: &Pattern, before_transition: FilterSnapshot<'_, T>, (r, c): (usize, usize), bar: &mut [T]) {
         let Adjoint { r: adjoint, rho, N, before, smoothed, .. } = self;
         let (adjoint_before, rho_before) = before.split_at(adjoint.len());
         // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; the other states do not change
         smoothed.clear();
         for i in 0..r {
-            let P = &left.P[i * r..][..r];
-            smoothed.push(left.x[i] + dot(P, &adjoint[..r]));
+            let P = &before_transition.P[i * r..][..r];
+            smoothed.push(before_transition.x[i] + dot(P, &adjoint[..r]));
             let row = smoothed.len();
-            smoothed.extend_from_slice(&left.Psi[i * c..][..c]);
+            smoothed.extend_from_slice(&before_transition.Psi[i * c..][..c]);
             for (j, &P) in P.iter().enumerate() {
                 for k in 0..c {
                     smoothed[row + k] = P.fnma(rho[j * c + k], smoothed[row + k]);
@@ -232,12 +232,12 @@ impl<T: Real> Adjoint<T> {
                 let j = pattern.columns[k] as usize;
                 let (x, B) = match smoothed.get(j * (1 + c)..(j + 1) * (1 + c)) {
                     Some(smoothed) => (smoothed[0], &smoothed[1..]),
-                    None => (left.x[j], &left.Psi[j * c..][..c]),
+                    None => (before_transition.x[j], &before_transition.Psi[j * c..][..c]),
                 };
                 bar[k] = adjoint_before[i] * x - dot(rho_before, B);
                 if i < r && j < r {
                     // P is symmetric
-                    bar[k] = bar[k] - dot(&N[i * r..][..r], &left.P[j * r..][..r]);
+                    bar[k] = bar[k] - dot(&N[i * r..][..r], &before_transition.P[j * r..][..r]);
                 }
             }
         }

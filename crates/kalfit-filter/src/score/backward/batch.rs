@@ -9,7 +9,7 @@ use crate::reduce::{
     DataBlock, DataView, Design, DesignBatch, Entries, Numbers, SideBySide, TransitionView, at as number_at, innovation,
 };
 use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
-use crate::score::backward::filtered::{Begin, FilterSnapshot, FilteredMoments};
+use crate::score::backward::filtered::{InitialState, FilterSnapshot, FilteredMoments};
 use crate::score::backward::input::{AdjointsWanted, TerminalAdjoint};
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 use crate::score::backward::sink::TransitionAdjoint;
@@ -51,10 +51,10 @@ impl Kernel for BatchBackward<'_> {
         let root = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].root);
         let mean = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
-        let unknown = PosteriorRoot { frame: &self.shape.frame, root: &root, columns, wanted: self.wanted };
+        let posterior = PosteriorRoot { frame: &self.shape.frame, root: &root, columns, wanted: self.wanted };
         let mut ending = None;
         if let Some(first) = self.endings.first() {
-            debug_assert!(first.r.len() == unknown.frame.n, "one for each state");
+            debug_assert!(first.r.len() == posterior.frame.n, "one for each state");
             let many = self.endings.len();
             ending = Some([
                 interleaved::<T>(many, |lane| &self.endings[lane].r),
@@ -63,7 +63,7 @@ impl Kernel for BatchBackward<'_> {
             ]);
         }
         let ending = ending.as_ref().map(|[r, rho, N]| [&**r, &**rho, &**N]);
-        BatchPass::new(numbers, unknown).run(&mean, ending)
+        BatchPass::new(numbers, posterior).run(&mean, ending)
     }
 }
 
@@ -94,12 +94,12 @@ impl<'a> BatchNumbers<'a> {
 
 /// Most numbers per test that are stored for the backward pass; for longer tests, the filter is run again from stored
 /// states.
-const MOST_KEPT: usize = 1 << 16;
+const MAX_STORED_NUMBERS: usize = 1 << 16;
 
 /// The filter over a batch, and its stored states.
 struct BatchPass<'a, T> {
     numbers: BatchNumbers<'a>,
-    unknown: PosteriorRoot<'a, T>,
+    posterior: PosteriorRoot<'a, T>,
     now: FilteredMoments<T>,
     /// ē of each measurement.
     e: Vec<T>,
@@ -112,7 +112,7 @@ struct BatchPass<'a, T> {
 
 /// Position of a pass: the numbers of the next run, row and transition.
 #[derive(Debug, Clone, Copy, Default)]
-struct BatchPlace {
+struct BatchPosition {
     run: usize,
     row: usize,
     transition: usize,
@@ -120,70 +120,70 @@ struct BatchPlace {
 
 impl<'a, T: Lanes> BatchPass<'a, T> {
     #[inline(always)]
-    fn new(numbers: BatchNumbers<'a>, unknown: PosteriorRoot<'a, T>) -> BatchPass<'a, T> {
-        let (n, r) = (unknown.frame.n, unknown.frame.r);
-        let (e, stride) = (Vec::with_capacity(numbers.shape.rows()), n + r * r + n * unknown.columns);
-        BatchPass { numbers, unknown, now: FilteredMoments::default(), e, left: Vec::new(), before: Vec::new(), stride }
+    fn new(numbers: BatchNumbers<'a>, posterior: PosteriorRoot<'a, T>) -> BatchPass<'a, T> {
+        let (n, r) = (posterior.frame.n, posterior.frame.r);
+        let (e, stride) = (Vec::with_capacity(numbers.shape.rows()), n + r * r + n * posterior.columns);
+        BatchPass { numbers, posterior, now: FilteredMoments::default(), e, left: Vec::new(), before: Vec::new(), stride }
     }
 
     /// The forward and the backward pass over all steps.
     #[inline(always)]
     fn run(mut self, mean: &[T], ending: Option<[&[T]; 3]>) -> BatchAdjoints {
         let (start, variance) = (SideBySide(self.numbers.data.start), SideBySide(&self.numbers.designs.variance));
-        self.now.begin(&Begin { start, variance, mean }, &self.unknown);
-        let (frame, tracked) = (self.unknown.frame, self.unknown.tracked());
+        self.now.begin(&InitialState { start, variance, mean }, &self.posterior);
+        let (frame, needs_covariance) = (self.posterior.frame, self.posterior.needs_covariance());
         let (runs, block) = (self.numbers.shape.runs.len(), self.block());
-        let (mut places, mut marks) = (vec![BatchPlace::default()], Vec::new());
+        let (mut positions, mut marks) = (vec![BatchPosition::default()], Vec::new());
         for first in (0..runs).step_by(block) {
-            if tracked {
+            if needs_covariance {
                 self.now.save(&mut marks);
             }
-            places.push(self.forth(places[places.len() - 1], runs.min(first + block)));
+            positions.push(self.forward(positions[positions.len() - 1], runs.min(first + block)));
         }
         let mut back = BatchBack::new(&self, ending);
-        for part in (1..places.len()).rev() {
-            let (from, to) = (places[part - 1], places[part]);
-            if tracked && to.run < runs {
+        for part in (1..positions.len()).rev() {
+            let (from, to) = (positions[part - 1], positions[part]);
+            if needs_covariance && to.run < runs {
                 self.now.load(&marks[(part - 1) * self.stride..][..self.stride], (frame.n, frame.r));
-                self.forth(from, to.run);
+                self.forward(from, to.run);
             }
             back.over(&self, from, to);
         }
-        back.end(&self.unknown)
+        back.end(&self.posterior)
     }
 
     /// Number of steps in a block.
     fn block(&self) -> usize {
-        let (design, wanted) = (self.numbers.shape, self.unknown.wanted);
+        let (design, wanted) = (self.numbers.shape, self.posterior.wanted);
         let rows = if wanted.equation { design.rows().div_ceil(design.runs.len().max(1)) } else { 0 };
-        (MOST_KEPT / self.stride.max(1) / (usize::from(wanted.motion) + rows).max(1)).max(1)
+        (MAX_STORED_NUMBERS / self.stride.max(1) / (usize::from(wanted.motion) + rows).max(1)).max(1)
     }
 
     /// Runs the filter from a position to the one before run `to`, which is returned.
     #[inline(always)]
-    fn forth(&mut self, mut at: BatchPlace, to: usize) -> BatchPlace {
-        let BatchPass { numbers, unknown, now, e, left, before, .. } = self;
-        let (design, driven) = (numbers.shape, unknown.frame.driven.len());
+    fn forward(&mut self, mut at: BatchPosition, to: usize) -> BatchPosition {
+        let BatchPass { numbers, posterior, now, e, left, before, .. } = self;
+        let (design, driven) = (numbers.shape, posterior.frame.driven.len());
         left.clear();
         before.clear();
         while at.run < to {
             if let Some(transition) = Numbers::<T>::transition(numbers.designs, design, at.run) {
-                if unknown.wanted.motion {
+                if posterior.wanted.motion {
                     now.save(left);
                 }
                 let inputs = Entries::<T>::skip(SideBySide(numbers.data.inputs), at.transition * driven);
-                now.advance(transition, inputs, unknown);
+                now.advance(transition, inputs, posterior);
                 at.transition += 1;
             }
             for number in numbers.lines(at.run) {
-                if unknown.wanted.equation {
+                if posterior.wanted.equation {
                     now.save(before);
                 }
                 let line = numbers.line((number, at.row));
                 if at.row == e.len() {
                     e.push(innovation(&now.x, (line.states, line.h), number_at(numbers.data.values, at.row)));
                 }
-                now.measure(&line, e[at.row], unknown);
+                now.measure(&line, e[at.row], posterior);
                 at.row += 1;
             }
             at.run += 1;
@@ -204,10 +204,10 @@ struct BatchBack<T> {
 impl<T: Lanes> BatchBack<T> {
     #[inline(always)]
     fn new(pass: &BatchPass<'_, T>, ending: Option<[&[T]; 3]>) -> BatchBack<T> {
-        let (design, frame) = (pass.numbers.shape, pass.unknown.frame);
+        let (design, frame) = (pass.numbers.shape, pass.posterior.frame);
         let mut adjoint = Adjoint::<T>::default();
-        adjoint.begin(&pass.unknown, ending);
-        let width = 2 + if pass.unknown.wanted.equation { frame.n } else { 0 };
+        adjoint.begin(&pass.posterior, ending);
+        let width = 2 + if pass.posterior.wanted.equation { frame.n } else { 0 };
         let kinds =
             design.pattern().map_or([0; 3], |pattern| [pattern.columns.len(), pattern.pairs.len(), frame.driven.len()]);
         let moves = design.runs.iter().filter(|run| run.transition.is_some()).count() * kinds.iter().sum::<usize>();
@@ -224,26 +224,26 @@ impl<T: Lanes> BatchBack<T> {
 
     /// The backward pass over the steps between two positions, which the filter has just passed.
     #[inline(always)]
-    fn over(&mut self, pass: &BatchPass<'_, T>, from: BatchPlace, to: BatchPlace) {
-        let BatchPass { numbers, unknown, stride, .. } = pass;
-        let (sizes, (mut row, mut transition)) = ((unknown.frame.n, unknown.frame.r), (to.row, to.transition));
+    fn over(&mut self, pass: &BatchPass<'_, T>, from: BatchPosition, to: BatchPosition) {
+        let BatchPass { numbers, posterior, stride, .. } = pass;
+        let (sizes, (mut row, mut transition)) = ((posterior.frame.n, posterior.frame.r), (to.row, to.transition));
         for run in (from.run..to.run).rev() {
             for number in numbers.lines(run).rev() {
                 row -= 1;
                 let mut before = None;
-                if unknown.wanted.equation {
+                if posterior.wanted.equation {
                     before = Some(FilterSnapshot::new(&pass.before[(row - from.row) * stride..][..*stride], sizes));
                 }
-                self.measured(&numbers.line((number, row)), (row, pass.e[row]), unknown, before);
+                self.measured(&numbers.line((number, row)), (row, pass.e[row]), posterior, before);
             }
             if let Some(of) = Numbers::<T>::transition(numbers.designs, numbers.shape, run) {
                 transition -= 1;
                 let mut left = None;
-                if unknown.wanted.motion {
+                if posterior.wanted.motion {
                     let kept = &pass.left[(transition - from.transition) * stride..][..*stride];
                     left = Some(FilterSnapshot::new(kept, sizes));
                 }
-                self.moved(of, transition, unknown, left);
+                self.moved(of, transition, posterior, left);
             }
         }
     }
@@ -253,14 +253,14 @@ impl<T: Lanes> BatchBack<T> {
         &mut self,
         line: &ScalarMeasurement<'_, T, E>,
         (row, e): (usize, T),
-        unknown: &PosteriorRoot<'_, T>,
+        posterior: &PosteriorRoot<'_, T>,
         before: Option<FilterSnapshot<'_, T>>,
     ) {
         let BatchBack { adjoint, bar, all, .. } = self;
         let (scalars, h) = bar.split_at_mut(2);
         let (noise, value) = scalars.split_at_mut(1);
         let h = before.map(|before| (h, before));
-        adjoint.measured(line, e, unknown, ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h });
+        adjoint.measured(line, e, posterior, ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h });
         let width = bar.len();
         for k in 0..width {
             bar[k].store(&mut all.rows[(row * width + k) * T::COUNT..]);
@@ -272,11 +272,11 @@ impl<T: Lanes> BatchBack<T> {
         &mut self,
         transition: TransitionView<'_, E>,
         number: usize,
-        unknown: &PosteriorRoot<'_, T>,
+        posterior: &PosteriorRoot<'_, T>,
         left: Option<FilterSnapshot<'_, T>>,
     ) {
         let BatchBack { adjoint, moved, all, .. } = self;
-        adjoint.moved(unknown, transition, left, moved);
+        adjoint.moved(posterior, transition, left, moved);
         let mut at = number * all.sizes.1.iter().sum::<usize>();
         for list in [&moved.phi, &moved.q, &moved.input] {
             for x in list {
@@ -287,16 +287,16 @@ impl<T: Lanes> BatchBack<T> {
     }
 
     #[inline(always)]
-    fn end(mut self, unknown: &PosteriorRoot<'_, T>) -> BatchAdjoints {
+    fn end(mut self, posterior: &PosteriorRoot<'_, T>) -> BatchAdjoints {
         let mut variance = Vec::new();
-        self.adjoint.start_covariance_adjoint(unknown, &mut variance);
-        (self.all.mean, self.all.variance) = (apart(&self.adjoint.r), apart(&variance));
+        self.adjoint.start_covariance_adjoint(posterior, &mut variance);
+        (self.all.mean, self.all.variance) = (to_numbers(&self.adjoint.r), to_numbers(&variance));
         self.all
     }
 }
 
 #[inline(always)]
-fn apart<T: Lanes>(numbers: &[T]) -> Vec<f64> {
+fn to_numbers<T: Lanes>(numbers: &[T]) -> Vec<f64> {
     let mut all = vec![0.0; numbers.len() * T::COUNT];
     for (k, x) in numbers.iter().enumerate() {
         x.store(&mut all[k * T::COUNT..]);

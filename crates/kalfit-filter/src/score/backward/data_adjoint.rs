@@ -23,8 +23,8 @@ pub(crate) struct StepCoefficients<T, const N: usize> {
 /// P before a step and, where ∂ℓ/∂h is wanted, before its measurement.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PriorVariances<const N: usize> {
-    pub(crate) left: [[f64; N]; N],
-    pub(crate) arrived: [[f64; N]; N],
+    pub(crate) before_step: [[f64; N]; N],
+    pub(crate) before_measurement: [[f64; N]; N],
 }
 
 /// The data-dependent part of the adjoints of the coefficients, summed over steps.
@@ -85,9 +85,9 @@ impl<T: Real, const N: usize> StepCoefficients<T, N> {
                 r[i] = T::splat(self.filter.h[i]).fma(u, r[i]);
             }
             if self.wanted.equation {
-                let arrived = smoothed(&self.filter.predicted(x), &P.arrived, r);
+                let before_measurement = smoothed(&self.filter.predicted(x), &P.before_measurement, r);
                 for i in 0..N {
-                    sums.h[i] = u.fma(arrived[i], sums.h[i]);
+                    sums.h[i] = u.fma(before_measurement[i], sums.h[i]);
                 }
             }
         }
@@ -102,10 +102,10 @@ impl<T: Real, const N: usize> StepCoefficients<T, N> {
             }
         }
         if self.wanted.motion {
-            let left = smoothed(x, &P.left, &before);
+            let before_step = smoothed(x, &P.before_step, &before);
             for i in 0..N {
                 for j in 0..N {
-                    sums.phi[i][j] = r[i].fma(left[j], sums.phi[i][j]);
+                    sums.phi[i][j] = r[i].fma(before_step[j], sums.phi[i][j]);
                 }
             }
         }

@@ -10,8 +10,8 @@ use crate::score::backward::data_adjoint::{PriorVariances, StepCoefficients, one
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PriorMoments<const N: usize, const C: usize> {
     pub(super) P: PriorVariances<N>,
-    pub(super) left: [[f64; C]; N],
-    pub(super) arrived: [[f64; C]; N],
+    pub(super) before_step: [[f64; C]; N],
+    pub(super) before_measurement: [[f64; C]; N],
 }
 
 /// (1/S, K) and TC of a row.
@@ -157,7 +157,7 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         let (Nphi, rho) = (product(&self.N, phi), transposed(phi, &self.rho));
         if step.wanted.motion {
             for j in 0..N {
-                let (P, mut B) = (prior.P.left[j].map(T::splat), prior.left[j].map(T::splat));
+                let (P, mut B) = (prior.P.before_step[j].map(T::splat), prior.before_step[j].map(T::splat));
                 for k in 0..N {
                     for l in 0..C {
                         B[l] = P[k].fnma(rho[k][l], B[l]);
@@ -203,10 +203,10 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         }
         if step.wanted.equation {
             for i in 0..N {
-                let mut sum = -inner(&upsilon, &prior.arrived[i].map(T::splat));
+                let mut sum = -inner(&upsilon, &prior.before_measurement[i].map(T::splat));
                 for j in 0..N {
                     let bar = h[j].fnma(D, inner(&upsilon, &self.rho[j]) + NK[j]);
-                    sum = T::splat(prior.P.arrived[i][j]).fma(bar, sum);
+                    sum = T::splat(prior.P.before_measurement[i][j]).fma(bar, sum);
                 }
                 sums.h[i] = sums.h[i] + sum;
             }

@@ -25,13 +25,13 @@ pub(crate) struct EqualStretch<'a> {
 }
 
 impl<'a> EqualStretch<'a> {
-    pub(super) fn new(input: &'a BackwardInput<'a>, part: &Segment, block: usize) -> EqualStretch<'a> {
-        let stretch = input.design.stretch(part.stretch);
+    pub(super) fn new(input: &'a BackwardInput<'a>, segment: &Segment, block: usize) -> EqualStretch<'a> {
+        let stretch = input.design.stretch(segment.stretch);
         let first = stretch.rows.start;
         let piece = &input.gains.pieces[input.gains.piece(first)];
         let changing = (piece.row + piece.moving()).saturating_sub(first).min(stretch.count);
         let states = input.design.moving(&stretch);
-        let path = input.gains.path(first).filter(|_| input.tracked());
+        let path = input.gains.path(first).filter(|_| input.needs_covariance());
         EqualStretch { input, stretch, piece, moving: changing, states, block, path }
     }
 
@@ -89,18 +89,18 @@ impl<'a> EqualStretch<'a> {
             }
             P
         };
-        let left = load(step);
+        let before_step = load(step);
         if !self.input.wanted.equation || *weight == 0.0 {
-            return PriorVariances { left, arrived: left };
+            return PriorVariances { before_step, before_measurement: before_step };
         }
         // the measurement has reduced P by KSK'
-        let (mut arrived, S) = (load(step + 1), weight.recip());
+        let (mut before_measurement, S) = (load(step + 1), weight.recip());
         for i in 0..N {
             for j in 0..N {
-                arrived[i][j] += S * K[i] * K[j];
+                before_measurement[i][j] += S * K[i] * K[j];
             }
         }
-        PriorVariances { left, arrived }
+        PriorVariances { before_step, before_measurement }
     }
 
     /// P and ΨC before a step, and before its measurement.
@@ -109,35 +109,35 @@ impl<'a> EqualStretch<'a> {
         let load = |step: usize| {
             let mut Psi = [[0.0; C]; N];
             if let Some(path) = self.path {
-                psi_root((path.before(step).1, N), self.input.moments, Psi.as_flattened_mut());
+                psi_times_root((path.before(step).1, N), self.input.moments, Psi.as_flattened_mut());
             }
             Psi
         };
-        let (P, left) = (self.variances(step, &gain.own), load(step));
+        let (P, before_step) = (self.variances(step, &gain.own), load(step));
         if !self.input.wanted.equation {
-            return PriorMoments { P, left, arrived: left };
+            return PriorMoments { P, before_step, before_measurement: before_step };
         }
         // the measurement has reduced ΨC by KTC
-        let mut arrived = load(step + 1);
+        let mut before_measurement = load(step + 1);
         for i in 0..N {
             for j in 0..C {
-                arrived[i][j] += gain.own.1[i] * gain.T[j];
+                before_measurement[i][j] += gain.own.1[i] * gain.T[j];
             }
         }
-        PriorMoments { P, left, arrived }
+        PriorMoments { P, before_step, before_measurement }
     }
 }
 
 /// The forward pass over a stretch, which stores its innovations, and x̄ at the start of every block.
-pub(super) fn forward(input: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
-    let steps = EqualStretch::new(input, part, work.cut.block);
+pub(super) fn forward(input: &BackwardInput<'_>, segment: &Segment, work: &mut BackwardWork) {
+    let steps = EqualStretch::new(input, segment, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
     if let Some(path) = steps.path {
         let (P, Psi) = path.before(steps.moving);
         now.P.copy_from_slice(P);
-        psi_root((Psi, steps.states), input.moments, &mut now.Psi);
+        psi_times_root((Psi, steps.states), input.moments, &mut now.Psi);
     }
-    if input.blank {
+    if input.zero_data {
         e.resize(e.len() + steps.stretch.count, 0.0);
     } else {
         let first = e.len();
@@ -148,7 +148,7 @@ pub(super) fn forward(input: &BackwardInput<'_>, part: &Segment, work: &mut Back
 
 /// ΨC of the first `states` states.
 #[inline]
-fn psi_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
+fn psi_times_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
     let (c, p) = (moments.columns, moments.mean.len());
     for i in 0..states {
         for k in 0..c {
@@ -170,9 +170,9 @@ impl Kernel for EqualForward<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) {
         let EqualForward { steps, x, e, marks } = self;
-        let (mut own, mut kept) = (lifted::<T>(x), Vec::<T>::new());
+        let (mut own, mut kept) = (splatted::<T>(x), Vec::<T>::new());
         let (input, gains) = (steps.input, (steps.input.gains, steps.piece));
-        let blocks = input.tracked().then_some((&mut kept, steps.block));
+        let blocks = input.needs_covariance().then_some((&mut kept, steps.block));
         Scan { design: input.design, stretch: &steps.stretch, gains, x: &mut own, e, marks: blocks }.run(steps.states);
         for x in &kept {
             marks.push(x.lane(0));
@@ -185,7 +185,7 @@ impl Kernel for EqualForward<'_> {
 
 /// Numbers in lanes, each the same in all lanes.
 #[inline(always)]
-pub(super) fn lifted<T: Lanes>(numbers: &[f64]) -> Vec<T> {
+pub(super) fn splatted<T: Lanes>(numbers: &[f64]) -> Vec<T> {
     let mut own = Vec::with_capacity(numbers.len());
     for &x in numbers {
         own.push(T::splat(x));

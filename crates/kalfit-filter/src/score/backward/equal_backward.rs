@@ -6,7 +6,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes};
 use crate::reduce::{MomentPath, SteadyState, SteadyStateMonitor, Stretch};
 use crate::score::backward::data_adjoint::{DataSums, PriorVariances, StepCoefficients};
 use crate::score::backward::design_adjoint::{DesignAdjoint, DesignSums, Gain, PriorMoments};
-use crate::score::backward::equal::{EqualStretch, lifted};
+use crate::score::backward::equal::{EqualStretch, splatted};
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment, SegmentPass};
@@ -24,7 +24,7 @@ fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
 /// The backward pass over a stretch, if there is a kernel of its size.
 pub(super) fn kernel(input: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<SegmentPass> {
     let c = input.moments.columns;
-    let known = !input.tracked() || input.gains.path(stretch.rows.start).is_some();
+    let known = !input.needs_covariance() || input.gains.path(stretch.rows.start).is_some();
     match MomentPath::states(input.design, stretch).filter(|_| known)? {
         0 => columns::<0>(c),
         1 => columns::<1>(c),
@@ -43,21 +43,21 @@ struct EqualBackward<T, const N: usize, const C: usize> {
     data: DataSums<T, N>,
     sums: DesignSums<T, N, C>,
     /// The constant P, and what each step adds to the sums, once N and ρ are constant too.
-    still: Option<(PriorVariances<N>, DesignSums<T, N, C>)>,
+    steady: Option<(PriorVariances<N>, DesignSums<T, N, C>)>,
     /// Number of steps with constant N and ρ that are not in the sums yet.
     rested: usize,
-    watched: bool,
+    monitored: bool,
 }
 
 /// Writes the summed adjoints of a stretch to `measured` and `moved` of the work space, whose `now` is the filter
 /// before the stretch.
-fn backward<const N: usize, const C: usize>(input: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
-    Isa::best().alone().run(EqualPass::<N, C> { input, part, work });
+fn backward<const N: usize, const C: usize>(input: &BackwardInput<'_>, segment: &Segment, work: &mut BackwardWork) {
+    Isa::best().alone().run(EqualPass::<N, C> { input, segment, work });
 }
 
 struct EqualPass<'a, const N: usize, const C: usize> {
     input: &'a BackwardInput<'a>,
-    part: &'a Segment,
+    segment: &'a Segment,
     work: &'a mut BackwardWork,
 }
 
@@ -66,24 +66,24 @@ impl<const N: usize, const C: usize> Kernel for EqualPass<'_, N, C> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let EqualPass { input, part, work } = self;
-        let steps = EqualStretch::new(input, part, work.cut.block);
+        let EqualPass { input, segment, work } = self;
+        let steps = EqualStretch::new(input, segment, work.cut.block);
         let mut back = EqualBackward::<T, N, C>::new(&steps, work);
         let mut xs = vec![[T::splat(0.0); N]; steps.block.min(steps.stretch.count)];
         for (from, to) in steps.blocks().rev() {
-            if input.blank && back.still.is_some() && from >= steps.moving() {
+            if input.zero_data && back.steady.is_some() && from >= steps.moving() {
                 back.rested += to - from;
                 continue;
             }
-            if input.tracked() && !input.blank {
-                let mark = part.mark + input.stride() + from / steps.block * N;
+            if input.needs_covariance() && !input.zero_data {
+                let mark = segment.mark + input.stride() + from / steps.block * N;
                 let first = std::array::from_fn(|i| T::splat(work.marks[mark + i]));
                 let e = &work.e[steps.stretch.rows.clone()];
-                back.again(&steps, first, (from, to), (e, &mut xs));
+                back.recompute_means(&steps, first, (from, to), (e, &mut xs));
             }
             back.block(&steps, (from, to), &xs, work);
         }
-        back.settle();
+        back.add_steady_steps();
         back.finish(&steps, work);
     }
 }
@@ -101,22 +101,22 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
                 bars.N[i][j] = T::splat(adjoint.N[i * r + j]);
             }
         }
-        work.settling.start(&adjoint.rho[..N * C]);
+        work.monitor.start(&adjoint.rho[..N * C]);
         EqualBackward {
-            step: StepCoefficients::new(steps.input, &steps.stretch, &lifted(&work.now.x)),
+            step: StepCoefficients::new(steps.input, &steps.stretch, &splatted(&work.now.x)),
             r: std::array::from_fn(|i| T::splat(adjoint.r[i])),
             bars,
             data: DataSums::none(),
             sums: DesignSums::none(),
-            still: None,
+            steady: None,
             rested: 0,
-            watched: work.settling.begin(steps.stretch.count - steps.moving()),
+            monitored: work.monitor.begin(steps.stretch.count - steps.moving()),
         }
     }
 
     /// Recomputes x̄ before each of the steps `from..to`, from `x` before the first of them.
     #[inline(always)]
-    fn again(
+    fn recompute_means(
         &self,
         steps: &EqualStretch<'_>,
         mut x: [T; N],
@@ -137,7 +137,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         let (mut k, low) = (to, from.max(steps.moving()));
         while k > low {
             let gain = steps.gain::<N, C>(k - 1);
-            if let Some((P, _)) = &self.still {
+            if let Some((P, _)) = &self.steady {
                 let (mut r, mut data) = (self.r, self.data);
                 for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
                     self.step.back(&mut r, &gain.own, T::splat(e), (x, P), &mut data);
@@ -148,18 +148,18 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
                 continue;
             }
             let count = steps.stretch.count;
-            let until = if self.watched { low.max(count.saturating_sub(work.settling.next_look())) } else { low };
+            let until = if self.monitored { low.max(count.saturating_sub(work.monitor.next_look())) } else { low };
             let prior = steps.prior(k - 1, &gain);
             for k in (until..k).rev() {
                 self.step(&gain, e[k], (&xs[k - from], &prior));
             }
             k = until;
-            if self.watched && self.looks(steps, count - k, &mut work.settling) {
-                self.still = Some((prior.P, self.bars.rested(&self.step, &gain, &prior)));
+            if self.monitored && self.is_steady(steps, count - k, &mut work.monitor) {
+                self.steady = Some((prior.P, self.bars.rested(&self.step, &gain, &prior)));
             }
         }
         if from < steps.moving() {
-            self.settle();
+            self.add_steady_steps();
         }
         for k in (from..k.min(to)).rev() {
             let gain = steps.gain(k);
@@ -175,8 +175,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
     }
 
     /// Whether N and ρ are constant after `done` steps.
-    fn looks(&self, steps: &EqualStretch<'_>, done: usize, settling: &mut SteadyStateMonitor) -> bool {
-        if done < settling.next_look() {
+    fn is_steady(&self, steps: &EqualStretch<'_>, done: usize, monitor: &mut SteadyStateMonitor) -> bool {
+        if done < monitor.next_look() {
             return false;
         }
         let (r, bars) = (steps.input.design.frame.r, self.bars.one());
@@ -185,13 +185,13 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
             information[i * r..][..r].copy_from_slice(&bars.N[i][..r]);
         }
         let rho = bars.rho.as_flattened();
-        settling.look(done, (&information[..r * r], r), rho, SteadyState::Nothing) == SteadyState::All
+        monitor.look(done, (&information[..r * r], r), rho, SteadyState::Nothing) == SteadyState::All
     }
 
     /// Adds to the sums the steps that were passed with constant N and ρ.
     #[inline(always)]
-    fn settle(&mut self) {
-        if let Some((_, each)) = self.still.take() {
+    fn add_steady_steps(&mut self) {
+        if let Some((_, each)) = self.steady.take() {
             self.sums.add(std::mem::take(&mut self.rested) as f64, &each);
         }
     }
@@ -220,7 +220,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         bar.h.clear();
         if input.wanted.equation {
             bar.h.extend(sums.h.iter().zip(&data.h).map(|(design, data)| design + data));
-            bar.h.extend((N..input.design.frame.n).map(|s| resting(&work.now, s, data.u, &sums.upsilon)));
+            bar.h.extend((N..input.design.frame.n).map(|s| constant_state_adjoint(&work.now, s, data.u, &sums.upsilon)));
         }
         let Some(transition) = steps.stretch.transition else { return };
         let (pattern, bar) = (&transition.pattern, &mut work.moved);
@@ -240,7 +240,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
                     add(j, transition.phi[k], data.r[i], &sums.rho[i]);
                 }
                 if input.wanted.motion {
-                    let rests = || resting(&work.now, j, data.r[i], &sums.rho[i]);
+                    let rests = || constant_state_adjoint(&work.now, j, data.r[i], &sums.rho[i]);
                     bar.phi[k] = if j < N { sums.phi[i][j] + data.phi[i][j] } else { rests() };
                 }
             }
@@ -249,7 +249,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
 }
 
 /// ux̄ - υ(ΨC)' of a constant state.
-fn resting<const C: usize>(now: &FilteredMoments, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
+fn constant_state_adjoint<const C: usize>(now: &FilteredMoments, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
     let Psi = &now.Psi[state * C..][..C];
     u * now.x[state] - upsilon.iter().zip(Psi).map(|(upsilon, Psi)| upsilon * Psi).sum::<f64>()
 }

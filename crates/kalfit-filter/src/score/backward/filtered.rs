@@ -69,7 +69,7 @@ impl FilterSnapshot<'_> {
 
 /// The law of x_0 at ξ = x̂: a (n), P0 (r × r, of which the lower triangle counts), and x̂.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Begin<'a, T, E> {
+pub(super) struct InitialState<'a, T, E> {
     pub(super) start: E,
     pub(super) variance: E,
     /// x̂, the posterior mean of ξ.
@@ -79,16 +79,16 @@ pub(super) struct Begin<'a, T, E> {
 impl<T: Real> FilteredMoments<T> {
     /// Begins with x̄ = a + Ax̂, P = P0 and ΨC = AC.
     #[inline(always)]
-    pub(super) fn begin<E: Entries<T>>(&mut self, begin: &Begin<'_, T, E>, unknown: &PosteriorRoot<'_, T>) {
-        let frame = unknown.frame;
-        let (n, p, r, c) = (frame.n, frame.p, frame.r, unknown.columns);
+    pub(super) fn begin<E: Entries<T>>(&mut self, begin: &InitialState<'_, T, E>, posterior: &PosteriorRoot<'_, T>) {
+        let frame = posterior.frame;
+        let (n, p, r, c) = (frame.n, frame.p, frame.r, posterior.columns);
         self.x.clear();
         for i in 0..n {
             self.x.push(begin.start.entry(i));
         }
         self.P.clear();
         self.Psi.clear();
-        if unknown.tracked() {
+        if posterior.needs_covariance() {
             for ij in 0..r * r {
                 self.P.push(begin.variance.entry((ij / r).max(ij % r) * r + (ij / r).min(ij % r)));
             }
@@ -102,9 +102,9 @@ impl<T: Real> FilteredMoments<T> {
                 }
                 let a = T::splat(a);
                 self.x[i] = a.fma(begin.mean[k], self.x[i]);
-                if unknown.tracked() {
+                if posterior.needs_covariance() {
                     let Psi = &mut self.Psi[i * c..][..c];
-                    for (Psi, &root) in Psi.iter_mut().zip(&unknown.root[k * c..][..c]) {
+                    for (Psi, &root) in Psi.iter_mut().zip(&posterior.root[k * c..][..c]) {
                         *Psi = a.fma(root, *Psi);
                     }
                 }
@@ -140,11 +140,11 @@ impl<T: Real> FilteredMoments<T> {
         &mut self,
         transition: TransitionView<'_, E>,
         inputs: E,
-        unknown: &PosteriorRoot<'_, T>,
+        posterior: &PosteriorRoot<'_, T>,
     ) {
-        let (r, c) = (unknown.frame.r, unknown.columns);
+        let (r, c) = (posterior.frame.r, posterior.columns);
         advance(&mut self.x, 1, transition, &mut self.rows);
-        for (k, &state) in unknown.frame.driven.iter().enumerate() {
+        for (k, &state) in posterior.frame.driven.iter().enumerate() {
             self.x[state as usize] = self.x[state as usize] + inputs.entry(k);
         }
         if !self.Psi.is_empty() {
@@ -162,12 +162,12 @@ impl<T: Real> FilteredMoments<T> {
         &mut self,
         line: &ScalarMeasurement<'_, T, E>,
         e: T,
-        unknown: &PosteriorRoot<'_, T>,
+        posterior: &PosteriorRoot<'_, T>,
     ) {
-        let (r, c) = (unknown.frame.r, unknown.columns);
+        let (r, c) = (posterior.frame.r, posterior.columns);
         correct_mean(line.K, e, &mut self.x[..r]);
         if !self.Psi.is_empty() {
-            unknown.times_root(line.T, &mut self.T);
+            posterior.times_root(line.T, &mut self.T);
             for i in 0..r {
                 let K = line.K.entry(i);
                 for k in 0..c {
@@ -176,14 +176,14 @@ impl<T: Real> FilteredMoments<T> {
             }
         }
         if !self.P.is_empty() {
-            self.spread(r, line);
+            self.update_covariance(r, line);
         }
     }
 
     /// Updates P by gains computed from P itself: those of the design may come from square-root arrays or, once
     /// constant, from other steps, and P would drift from its true value under them.
     #[inline(always)]
-    fn spread<E: Entries<T>>(&mut self, r: usize, line: &ScalarMeasurement<'_, T, E>) {
+    fn update_covariance<E: Entries<T>>(&mut self, r: usize, line: &ScalarMeasurement<'_, T, E>) {
         let FilteredMoments { P, G, K, .. } = self;
         for own in [&mut *G, &mut *K] {
             own.clear();
@@ -197,8 +197,8 @@ impl<T: Real> FilteredMoments<T> {
 impl BackwardInput<'_> {
     /// Sets the filter to the start of the test.
     pub(super) fn begin(&self, now: &mut FilteredMoments) {
-        let begin = Begin { start: self.start, variance: &*self.design.variance, mean: &self.moments.mean };
-        now.begin(&begin, &self.unknown());
+        let begin = InitialState { start: self.start, variance: &*self.design.variance, mean: &self.moments.mean };
+        now.begin(&begin, &self.posterior());
     }
 
     /// Updates by the measurement of a row. Its innovation is appended to `e` unless `e` already contains it.
@@ -210,7 +210,7 @@ impl BackwardInput<'_> {
         if line.weight == 0.0 {
             return; // no information
         }
-        now.measure(&line, e[row], &self.unknown());
+        now.measure(&line, e[row], &self.posterior());
     }
 
     /// (n, r), which [`FilterSnapshot::new`] needs to read a stored state.

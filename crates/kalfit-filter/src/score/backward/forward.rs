@@ -4,7 +4,7 @@ use crate::reduce::DesignStep;
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::sink::Sink;
-use crate::score::backward::work::{BackwardWork, MOST_SHORT_STRETCHES, Segment, SegmentKind};
+use crate::score::backward::work::{BackwardWork, MAX_SHORT_STRETCHES, Segment, SegmentKind};
 use crate::score::backward::{equal, equal_backward};
 
 impl BackwardInput<'_> {
@@ -24,13 +24,13 @@ impl BackwardInput<'_> {
         self.begin(&mut work.now);
         for at in 0..work.parts.len() {
             work.parts[at].mark = work.marks.len();
-            if self.tracked() {
+            if self.needs_covariance() {
                 work.now.save(&mut work.marks);
             }
-            let part = work.parts[at];
-            match part.kind {
-                SegmentKind::Steps => self.forward_steps(&part, work),
-                SegmentKind::Equal(_) => equal::forward(self, &part, work),
+            let segment = work.parts[at];
+            match segment.kind {
+                SegmentKind::Steps => self.forward_steps(&segment, work),
+                SegmentKind::Equal(_) => equal::forward(self, &segment, work),
             }
         }
     }
@@ -43,7 +43,7 @@ impl BackwardInput<'_> {
         for (at, stretch) in self.design.stretches().enumerate() {
             let inputs = if stretch.transition.is_some() { driven } else { 0 };
             let steps = (step, step + stretch.count);
-            let few = if many < MOST_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
+            let few = if many < MAX_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
             let long = stretch.count > few;
             let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.accepts_sums(steps.0..steps.1));
             let begun = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
@@ -57,15 +57,15 @@ impl BackwardInput<'_> {
                         matches!(last.kind, SegmentKind::Steps) && last.steps.1 - last.steps.0 < cut.block
                     });
                     let start = step + skip;
-                    let part = match open {
-                        Some(part) => part,
+                    let segment = match open {
+                        Some(segment) => segment,
                         None => {
                             parts.push(begun(SegmentKind::Steps, (start, start), skip, input + skip * inputs));
                             parts.last_mut().expect("one was pushed")
                         }
                     };
-                    let take = (stretch.count - skip).min(cut.block - (part.steps.1 - part.steps.0));
-                    part.steps.1 += take;
+                    let take = (stretch.count - skip).min(cut.block - (segment.steps.1 - segment.steps.0));
+                    segment.steps.1 += take;
                     skip += take;
                 }
             }
@@ -75,39 +75,39 @@ impl BackwardInput<'_> {
     }
 
     /// Runs the filter over the steps of a segment, one by one, storing its states for the backward pass.
-    pub(super) fn forward_steps(&self, part: &Segment, work: &mut BackwardWork) {
+    pub(super) fn forward_steps(&self, segment: &Segment, work: &mut BackwardWork) {
         let BackwardWork { e, left, before, now, .. } = work;
         left.clear();
         before.clear();
-        self.each_position(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
-            FilterPosition::Moves if self.wanted.motion => now.save(left),
-            FilterPosition::Measures if self.wanted.equation => now.save(before),
+        self.each_position(segment.steps(self.design), segment.input, (now, e), |at, _, now| match at {
+            FilterPosition::BeforeTransition if self.wanted.motion => now.save(left),
+            FilterPosition::BeforeMeasurement if self.wanted.equation => now.save(before),
             _ => {}
         });
     }
 
-    /// Runs the filter `now` over these steps and calls `tell` at each position. `input`: index of the first known
+    /// Runs the filter `now` over these steps and calls `visit` at each position. `input`: index of the first known
     /// input; `e`: the innovations known so far, to which others are appended.
     pub(super) fn each_position<'s>(
         &self,
         steps: impl Iterator<Item = DesignStep<'s>>,
         mut input: usize,
         (now, e): (&mut FilteredMoments, &mut Vec<f64>),
-        mut tell: impl FnMut(FilterPosition, &DesignStep<'s>, &FilteredMoments),
+        mut visit: impl FnMut(FilterPosition, &DesignStep<'s>, &FilteredMoments),
     ) {
         let driven = self.design.frame.driven.len();
         for step in steps {
             if let Some(transition) = step.transition {
-                tell(FilterPosition::Moves, &step, now);
-                now.advance(transition.view(), &self.inputs[input..input + driven], &self.unknown());
+                visit(FilterPosition::BeforeTransition, &step, now);
+                now.advance(transition.view(), &self.inputs[input..input + driven], &self.posterior());
                 input += driven;
             }
-            tell(FilterPosition::Arrives, &step, now);
+            visit(FilterPosition::AfterTransition, &step, now);
             for (line, row) in step.lines.clone().zip(step.rows.clone()) {
-                tell(FilterPosition::Measures, &step, now);
+                visit(FilterPosition::BeforeMeasurement, &step, now);
                 self.measure(now, (line, row), e);
             }
-            tell(FilterPosition::Ends, &step, now);
+            visit(FilterPosition::AfterMeasurements, &step, now);
         }
     }
 }
@@ -116,11 +116,11 @@ impl BackwardInput<'_> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum FilterPosition {
     /// Before the transition of the step.
-    Moves,
+    BeforeTransition,
     /// After the transition.
-    Arrives,
+    AfterTransition,
     /// Before one of the measurements of the step.
-    Measures,
+    BeforeMeasurement,
     /// After all measurements.
-    Ends,
+    AfterMeasurements,
 }

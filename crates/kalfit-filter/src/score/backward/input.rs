@@ -22,7 +22,7 @@ pub struct BackwardInput<'a> {
     pub(crate) inputs: &'a [f64],
     pub(crate) values: &'a [f64],
     /// Whether all data are zero, so that the pass gives the design's part alone.
-    pub(crate) blank: bool,
+    pub(crate) zero_data: bool,
     pub(crate) moments: &'a Moments,
     /// Adjoints of the last state from later phases, if there are any.
     pub(crate) ending: Option<&'a TerminalAdjoint>,
@@ -38,7 +38,7 @@ impl<'a> BackwardInput<'a> {
     ) -> BackwardInput<'a> {
         let (design, data) = (&work.design, &work.data);
         let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-        BackwardInput { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+        BackwardInput { design, gains, start, inputs, values, zero_data: false, moments, ending, wanted }
     }
 }
 

@@ -29,45 +29,45 @@ impl<'a> BackwardInput<'a> {
     pub(crate) fn segments(&'a self, work: &mut BackwardWork) -> RecordSegments<'a> {
         let mut segments = RecordSegments::default();
         for at in 0..work.parts.len() {
-            let part = work.parts[at];
-            match part.kind {
-                SegmentKind::Steps => self.one_by_one(&part, work, &mut segments),
-                SegmentKind::Equal(_) => self.together(&part, work, &mut segments),
+            let segment = work.parts[at];
+            match segment.kind {
+                SegmentKind::Steps => self.push_steps(&segment, work, &mut segments),
+                SegmentKind::Equal(_) => self.push_equal(&segment, work, &mut segments),
             }
         }
         segments
     }
 
-    fn one_by_one(&'a self, part: &Segment, work: &mut BackwardWork, segments: &mut RecordSegments<'a>) {
+    fn push_steps(&'a self, segment: &Segment, work: &mut BackwardWork, segments: &mut RecordSegments<'a>) {
         let RecordSegments { segments, left, before } = segments;
-        if self.tracked() {
-            work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
+        if self.needs_covariance() {
+            work.now.load(&work.marks[segment.mark..][..self.stride()], self.sizes());
             let BackwardWork { e, now, .. } = work;
-            self.each_position(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
-                FilterPosition::Moves if self.wanted.motion => left.extend_from_slice(&now.P),
-                FilterPosition::Measures if self.wanted.equation => before.extend_from_slice(&now.P),
+            self.each_position(segment.steps(self.design), segment.input, (now, e), |at, _, now| match at {
+                FilterPosition::BeforeTransition if self.wanted.motion => left.extend_from_slice(&now.P),
+                FilterPosition::BeforeMeasurement if self.wanted.equation => before.extend_from_slice(&now.P),
                 _ => {}
             });
         }
-        segments.push(RecordSegment::Steps(part.steps(self.design).collect()));
+        segments.push(RecordSegment::Steps(segment.steps(self.design).collect()));
     }
 
-    fn together(&'a self, part: &Segment, work: &BackwardWork, segments: &mut RecordSegments<'a>) {
-        let (stretch, place) = (self.design.stretch(part.stretch), self.design.frame.r.pow(2));
+    fn push_equal(&'a self, segment: &Segment, work: &BackwardWork, segments: &mut RecordSegments<'a>) {
+        let (stretch, place) = (self.design.stretch(segment.stretch), self.design.frame.r.pow(2));
         let RecordSegments { segments, left, before } = segments;
         left.resize(left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
         before.resize(before.len() + usize::from(self.wanted.equation) * place, 0.0);
-        segments.push(RecordSegment::Equal(EqualStretch::new(self, part, work.cut.block)));
+        segments.push(RecordSegment::Equal(EqualStretch::new(self, segment, work.cut.block)));
     }
 }
 
 impl BackwardWork {
     /// Representative steps of a record that was cut into segments: all steps that are handled one by one, and the
     /// first of each stretch of equal steps.
-    pub(crate) fn standing(&self) -> impl Iterator<Item = usize> {
-        self.parts.iter().flat_map(|part| match part.kind {
-            SegmentKind::Steps => part.steps.0..part.steps.1,
-            SegmentKind::Equal(_) => part.steps.0..part.steps.0 + 1,
+    pub(crate) fn representative_steps(&self) -> impl Iterator<Item = usize> {
+        self.parts.iter().flat_map(|segment| match segment.kind {
+            SegmentKind::Steps => segment.steps.0..segment.steps.1,
+            SegmentKind::Equal(_) => segment.steps.0..segment.steps.0 + 1,
         })
     }
 }

@@ -31,7 +31,7 @@ pub(super) struct PosteriorRoot<'a, T = f64> {
 impl<T: Real> PosteriorRoot<'_, T> {
     /// Whether adjoints of φ or h are wanted, so that P and ΨC are needed.
     #[inline(always)]
-    pub(super) fn tracked(&self) -> bool {
+    pub(super) fn needs_covariance(&self) -> bool {
         self.wanted.motion || self.wanted.equation
     }
 
@@ -57,7 +57,7 @@ impl BackwardInput<'_> {
         ScalarMeasurement { states, h, noise: self.design.noise[line], weight, K, T }
     }
 
-    pub(super) fn unknown(&self) -> PosteriorRoot<'_> {
+    pub(super) fn posterior(&self) -> PosteriorRoot<'_> {
         let BackwardInput { design, moments, wanted, .. } = *self;
         PosteriorRoot { frame: &design.frame, root: &moments.root, columns: moments.columns, wanted }
     }

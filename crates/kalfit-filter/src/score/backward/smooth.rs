@@ -65,7 +65,7 @@ impl SmoothedNoise {
     }
 
     /// Sets Cov[w, x] = -Q(ρB' + NφP). `N`: Nφ; `rho`: φ'ρ; `rho_before`: ρ.
-    pub(super) fn across(
+    pub(super) fn set_cross_moment(
         &mut self,
         transition: &Transition,
         left: FilterSnapshot<'_>,
@@ -134,9 +134,9 @@ impl BackwardInput<'_> {
         let (r, c) = (self.design.frame.r, self.moments.columns);
         let stride = self.stride();
         let (mut ends, mut left) = (Vec::new(), Vec::new());
-        self.forward_keeping_all(work, &mut ends, &mut left);
+        self.forward_storing_all(work, &mut ends, &mut left);
         let BackwardWork { e, adjoint, measured, moved, variance, .. } = work;
-        adjoint.begin(&self.unknown(), self.after());
+        adjoint.begin(&self.posterior(), self.after());
         let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
         let (mut k, mut transitions) = (self.design.steps(), left.len() / stride.max(1));
         let (mut states, mut noises) = (vec![Smoothed::default(); k + 1], vec![None; k]);
@@ -150,47 +150,47 @@ impl BackwardInput<'_> {
             let before = FilterSnapshot::new(&left[seen(&left, transitions)], self.sizes());
             let mut noise = SmoothedNoise::default();
             noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
-            let mut turned = adjoint.N.clone();
-            times_phi(&mut turned, r, transition.view(), &mut Vec::new());
+            let mut n_phi = adjoint.N.clone();
+            times_phi(&mut n_phi, r, transition.view(), &mut Vec::new());
             let rho = adjoint.rho.clone();
-            adjoint.moved(&self.unknown(), transition.view(), None, moved);
-            noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
+            adjoint.moved(&self.posterior(), transition.view(), None, moved);
+            noise.set_cross_moment(transition, before, (&adjoint.rho, &rho), (&n_phi, r, c));
             noises[k] = Some(noise);
         }
         let start = FilterSnapshot::new(&ends[seen(&ends, 0)], self.sizes());
         start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[0]);
-        adjoint.start_covariance_adjoint(&self.unknown(), variance);
+        adjoint.start_covariance_adjoint(&self.posterior(), variance);
         SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
     }
 
-    /// Runs the filter at ξ = x̂ step by step, and calls `tell` with its state before the measurements of a step
+    /// Runs the filter at ξ = x̂ step by step, and calls `visit` with its state before the measurements of a step
     /// (`false`) and after them (`true`). `e`: the innovations from the data pass. `wanted.motion` must be set.
     pub fn filtered_states(
         &self,
         work: &mut BackwardWork,
         e: &[f64],
-        mut tell: impl FnMut(&DesignStep<'_>, bool, FilterSnapshot<'_>),
+        mut visit: impl FnMut(&DesignStep<'_>, bool, FilterSnapshot<'_>),
     ) {
         let BackwardWork { now, .. } = work;
         self.begin(now);
         self.each_position(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
-            FilterPosition::Arrives => tell(step, false, now.seen()),
-            FilterPosition::Ends => tell(step, true, now.seen()),
-            FilterPosition::Moves | FilterPosition::Measures => {}
+            FilterPosition::AfterTransition => visit(step, false, now.seen()),
+            FilterPosition::AfterMeasurements => visit(step, true, now.seen()),
+            FilterPosition::BeforeTransition | FilterPosition::BeforeMeasurement => {}
         });
     }
 
     /// Runs the filter at ξ = x̂, storing its state at the start and after each step (`ends`), and before each
     /// transition (`left`).
-    fn forward_keeping_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
+    fn forward_storing_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
         let BackwardWork { e, now, .. } = work;
         e.clear();
         self.begin(now);
         now.save(ends);
         self.each_position(self.design.each_step(), 0, (now, e), |at, _, now| match at {
-            FilterPosition::Moves => now.save(left),
-            FilterPosition::Ends => now.save(ends),
-            FilterPosition::Arrives | FilterPosition::Measures => {}
+            FilterPosition::BeforeTransition => now.save(left),
+            FilterPosition::AfterMeasurements => now.save(ends),
+            FilterPosition::AfterTransition | FilterPosition::BeforeMeasurement => {}
         });
     }
 }

@@ -78,7 +78,7 @@ fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Desig
 }
 
 /// Work space of a design pass that keeps P and Ψ.
-fn keeping() -> GainsWork {
+fn with_paths() -> GainsWork {
     GainsWork { keeps_paths: true, ..GainsWork::default() }
 }
 
@@ -88,7 +88,7 @@ fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
 }
 
 fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) {
-    let plain = information_gains(&design, None, &mut keeping());
+    let plain = information_gains(&design, None, &mut with_paths());
     let gains = plain.unwrap_or_else(|| root_gains(&design, None, true).expect("semidefinite")); // a part need not determine its unknowns
     let reduction = reduction_by(&gains, &design, &data);
     (design, data, gains, reduction)
@@ -123,7 +123,7 @@ fn dense(numbers: &Numbers) -> f64 {
 }
 
 #[derive(Default)]
-struct Kept {
+struct AllAdjoints {
     noise: Vec<(usize, f64)>,
     value: Vec<(usize, f64)>,
     h: Vec<(usize, Vec<f64>)>,
@@ -132,7 +132,7 @@ struct Kept {
     variance: Vec<f64>,
 }
 
-impl Sink for Kept {
+impl Sink for AllAdjoints {
     type Error = std::convert::Infallible;
     fn accepts_sums(&mut self, _: Range<usize>) -> bool {
         false
@@ -268,7 +268,7 @@ fn run<'a>(
     wanted: AdjointsWanted,
 ) -> BackwardInput<'a> {
     let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-    BackwardInput { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+    BackwardInput { design, gains, start, inputs, values, zero_data: false, moments, ending, wanted }
 }
 
 /// All adjoints of a test.
@@ -277,9 +277,9 @@ fn adjoints(
     data: &Data,
     gains: &Gains,
     (moments, ending): (&Moments, Option<&TerminalAdjoint>),
-) -> Kept {
+) -> AllAdjoints {
     let run = run((design, data, gains), (moments, ending), ALL);
-    let mut kept = Kept::default();
+    let mut kept = AllAdjoints::default();
     let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
     kept
 }
@@ -320,9 +320,9 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
     }
 }
 
-impl Kept {
+impl AllAdjoints {
     /// The adjoints of the steps from `at` on, together with those of the steps before (`first`).
-    fn after(mut self, first: Kept, at: usize) -> Kept {
+    fn after(mut self, first: AllAdjoints, at: usize) -> AllAdjoints {
         self.noise.iter_mut().chain(&mut self.value).for_each(|(row, _)| *row += 2 * at);
         self.h.iter_mut().for_each(|(row, _)| *row += 2 * at);
         self.moved.iter_mut().for_each(|(k, _)| *k += at);
@@ -334,7 +334,7 @@ impl Kept {
         self
     }
 
-    fn check(&self, whole: &Kept, at: usize) {
+    fn check(&self, whole: &AllAdjoints, at: usize) {
         let near = |what: &str, a: &[f64], b: &[f64]| {
             assert_eq!(a.len(), b.len(), "{what}");
             for (a, b) in a.iter().zip(b) {
@@ -476,7 +476,7 @@ fn totals_of(
     wanted: AdjointsWanted,
     takes_sums: bool,
 ) -> Totals {
-    let mut work = keeping();
+    let mut work = with_paths();
     work.settling.off = unfrozen;
     let gains = information_gains(design, None, &mut work).expect("well conditioned");
     let moments = moments(reduction_by(&gains, design, data).view(), law);
@@ -528,7 +528,7 @@ fn frozen_equals_unfrozen() {
 #[test]
 fn without_paths_equal_steps_go_one_by_one() {
     let (design, data) = long();
-    let mut gains = information_gains(&design, None, &mut keeping()).expect("well conditioned");
+    let mut gains = information_gains(&design, None, &mut with_paths()).expect("well conditioned");
     let moments = moments(reduction_by(&gains, &design, &data).view(), &law());
     let of = |gains: &Gains| {
         let (mut totals, mut back) = (Totals::new(&design, true), BackwardWork::default());

@@ -13,13 +13,13 @@ pub(super) struct SegmentLengths {
     pub(super) block: usize,
     /// Largest number of equal steps that do not get a segment of their own.
     pub(super) few: usize,
-    /// The same limit after the first [`MOST_SHORT_STRETCHES`] such segments, as each of them stores a state of the
+    /// The same limit after the first [`MAX_SHORT_STRETCHES`] such segments, as each of them stores a state of the
     /// filter.
     pub(super) short: usize,
 }
 
 /// Number of stretches of a record, counted from its start, that get a segment of their own although they are short.
-pub(super) const MOST_SHORT_STRETCHES: usize = 64;
+pub(super) const MAX_SHORT_STRETCHES: usize = 64;
 
 impl Default for SegmentLengths {
     fn default() -> SegmentLengths {
@@ -43,7 +43,7 @@ pub struct BackwardWork {
     pub(super) before: Vec<f64>,
     pub(super) now: FilteredMoments,
     pub(super) adjoint: Adjoint,
-    pub(super) settling: SteadyStateMonitor,
+    pub(super) monitor: SteadyStateMonitor,
     pub(super) variance: Vec<f64>,
     pub(super) measured: MeasurementAdjoint,
     pub(super) moved: TransitionAdjoint,
@@ -52,7 +52,7 @@ pub struct BackwardWork {
 impl BackwardWork {
     /// With `unfrozen`, N and ρ are updated at every step, for comparison.
     pub(crate) fn set_unfrozen(&mut self, unfrozen: bool) {
-        self.settling.off = unfrozen;
+        self.monitor.off = unfrozen;
     }
 }
 

@@ -4,24 +4,24 @@ use crate::reduce::{PhaseReplicates, PhasedReducer, Replicates};
 use kalfit_model::PhasedTest;
 
 /// Fewest tests of a class: for fewer, writing the chain rule as factors does not pay.
-const FEWEST: usize = 16;
+const MIN_CLASS_TESTS: usize = 16;
 /// Fewest rows of a long test, of which two are enough for a class.
-pub(super) const LONG: usize = 1 << 10;
+pub(super) const MIN_LONG_ROWS: usize = 1 << 10;
 /// Fewest rows per stretch of equal steps, on average, in a long test.
-const EQUAL: usize = 16;
+const MIN_ROWS_PER_STRETCH: usize = 16;
 
 /// Classes of tests that are replicates in all of these phases, where a class has enough tests.
 pub(crate) fn classes_of(reducer: &PhasedReducer, tests: &[PhasedTest], phases: &[PhaseReplicates]) -> Replicates {
-    let is_enough = |class: &[usize]| class.len() >= FEWEST || is_long(reducer, &tests[class[0]]);
+    let is_enough = |class: &[usize]| class.len() >= MIN_CLASS_TESTS || is_long(reducer, &tests[class[0]]);
     PhaseReplicates::in_all(phases, tests).retain(is_enough)
 }
 
 /// Whether a test has many rows in long stretches of equal steps, which a pass with other data covers quickly.
 fn is_long(reducer: &PhasedReducer, test: &PhasedTest) -> bool {
     let phases = (0..reducer.phases().len()).filter_map(|at| Some((at, reducer.rows_of(at, test)?)));
-    phases.clone().map(|(_, rows)| rows.rows()).sum::<usize>() >= LONG
+    phases.clone().map(|(_, rows)| rows.rows()).sum::<usize>() >= MIN_LONG_ROWS
         && phases.into_iter().all(|(at, rows)| {
             let stretches = reducer.phases()[at].reducer.preparer().stretches(rows);
-            stretches.is_some_and(|stretches| EQUAL * stretches <= rows.rows())
+            stretches.is_some_and(|stretches| MIN_ROWS_PER_STRETCH * stretches <= rows.rows())
         })
 }

@@ -56,20 +56,20 @@ impl Kernel for DataBackward<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<f64> {
         let slots = self.shared.response.slots.len();
-        let mut found = vec![0.0; self.tests.len() * slots];
+        let mut totals = vec![0.0; self.tests.len() * slots];
         let mut pass = DataBackwardState::<T>::new(self.shared);
         let mut lanes = [0.0; MOST];
-        for (tests, found) in self.tests.chunks(T::COUNT).zip(found.chunks_mut((T::COUNT * slots).max(1))) {
-            pass.forth(self.shared, tests);
+        for (tests, totals) in self.tests.chunks(T::COUNT).zip(totals.chunks_mut((T::COUNT * slots).max(1))) {
+            pass.forward(self.shared, tests);
             pass.back(self.shared, tests);
             for (slot, sum) in pass.sums.iter().enumerate() {
                 sum.store(&mut lanes);
                 for lane in 0..tests.len() {
-                    found[lane * slots + slot] = lanes[lane];
+                    totals[lane * slots + slot] = lanes[lane];
                 }
             }
         }
-        found
+        totals
     }
 }
 
@@ -128,7 +128,7 @@ impl<T: Lanes> DataBackwardState<T> {
 
     /// The forward pass: x_0 = a + Ax̂, and the filter from there.
     #[inline(always)]
-    fn forth(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
+    fn forward(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         let frame = &*shared.design.frame;
         let (n, p) = (frame.n, frame.p);
         for i in 0..n {
@@ -155,11 +155,11 @@ impl<T: Lanes> DataBackwardState<T> {
             match segment {
                 RecordSegment::Steps(steps) => {
                     for step in steps {
-                        self.step_forth(shared, step, (&mut at, &mut input));
+                        self.step_forward(shared, step, (&mut at, &mut input));
                     }
                 }
                 RecordSegment::Equal(equal) => {
-                    self.equal_forth(shared, equal);
+                    self.equal_forward(shared, equal);
                     at.row += 1;
                     at.transition += usize::from(equal.stretch.transition.is_some());
                 }
@@ -168,7 +168,7 @@ impl<T: Lanes> DataBackwardState<T> {
     }
 
     #[inline(always)]
-    fn step_forth(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, (now, input): (&mut Cursor, &mut usize)) {
+    fn step_forward(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, (now, input): (&mut Cursor, &mut usize)) {
         let frame = &*shared.design.frame;
         let (n, r) = (frame.n, frame.r);
         if let Some(transition) = step.transition {
@@ -195,7 +195,7 @@ impl<T: Lanes> DataBackwardState<T> {
     }
 
     #[inline(always)]
-    fn equal_forth(&mut self, shared: &ClassShared<'_>, equal: &EqualStretch<'_>) {
+    fn equal_forward(&mut self, shared: &ClassShared<'_>, equal: &EqualStretch<'_>) {
         let DataBackwardState { x, e, marks, .. } = self;
         marks.extend_from_slice(x);
         let (stretch, gains) = (&equal.stretch, (shared.gains, equal.piece));
@@ -257,8 +257,8 @@ impl<T: Lanes> DataBackwardState<T> {
         let first = first.to_vec();
         let e = &e[equal.stretch.rows.start * T::COUNT..equal.stretch.rows.end * T::COUNT];
         with_states!(states, N => {
-            let answers = T::apart(EqualDataBackward::<T, N> { stretch: equal, first: &first, marks, e, r });
-            self.answered(shared, equal, (at, &first), &answers);
+            let data_sums = T::apart(EqualDataBackward::<T, N> { stretch: equal, first: &first, marks, e, r });
+            self.add_equal_adjoints(shared, equal, (at, &first), &data_sums);
         });
         self.marks.truncate(start);
     }
@@ -266,58 +266,58 @@ impl<T: Lanes> DataBackwardState<T> {
     /// Adds the adjoints of equal steps to the sums of the slots, and to r of the constant states. `first`: x̄ before
     /// these steps.
     #[inline(always)]
-    fn answered<const N: usize>(
+    fn add_equal_adjoints<const N: usize>(
         &mut self,
         shared: &ClassShared<'_>,
         equal: &EqualStretch<'_>,
         (at, first): (Cursor, &[T]),
-        answers: &DataSums<T, N>,
+        data_sums: &DataSums<T, N>,
     ) {
         let (response, half) = (shared.response, T::splat(0.5));
         let own = &response.rows[at.row];
-        self.add_span(response, own.noise, half * answers.uu);
-        self.add_span(response, own.value, -answers.u);
+        self.add_span(response, own.noise, half * data_sums.uu);
+        self.add_span(response, own.value, -data_sums.u);
         for entry in response.entries(&own.h) {
-            let bar = if entry.i < N { answers.h[entry.i] } else { answers.u * first[entry.i] };
+            let bar = if entry.i < N { data_sums.h[entry.i] } else { data_sums.u * first[entry.i] };
             self.add(response, entry, bar);
         }
         let (states, h) = shared.design.terms(equal.stretch.lines.start);
         for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
-            self.x[state as usize] = T::splat(h).fma(answers.u, self.x[state as usize]);
+            self.x[state as usize] = T::splat(h).fma(data_sums.u, self.x[state as usize]);
         }
         let Some(transition) = equal.stretch.transition else { return };
         let (own, pattern) = (&response.moves[at.transition], &transition.pattern);
         for entry in response.entries(&own.q) {
-            let both = answers.rr[entry.i.max(entry.j)][entry.i.min(entry.j)];
+            let both = data_sums.rr[entry.i.max(entry.j)][entry.i.min(entry.j)];
             self.add(response, entry, if entry.i == entry.j { half * both } else { both });
         }
         for entry in response.entries(&own.phi) {
             let i = pattern.moved[entry.i].state as usize;
-            let bar = if entry.j < N { answers.phi[i][entry.j] } else { answers.r[i] * first[entry.j] };
+            let bar = if entry.j < N { data_sums.phi[i][entry.j] } else { data_sums.r[i] * first[entry.j] };
             self.add(response, entry, bar);
         }
         for (i, j, phi) in transition.entries().filter(|&(_, j, _)| j >= N) {
-            self.x[j] = T::splat(phi).fma(answers.r[i], self.x[j]);
+            self.x[j] = T::splat(phi).fma(data_sums.r[i], self.x[j]);
         }
     }
 
     /// The backward pass through a scalar measurement.
     #[inline(always)]
-    fn measured(&mut self, shared: &ClassShared<'_>, (line, row): (usize, usize), standing: usize) {
+    fn measured(&mut self, shared: &ClassShared<'_>, (line, row): (usize, usize), representative_row: usize) {
         let (weight, K, _) = shared.gains.row(row);
         if weight == 0.0 {
             return; // no information
         }
         let (states, h) = shared.design.terms(line);
-        let (response, own) = (shared.response, &shared.response.rows[standing]);
+        let (response, own) = (shared.response, &shared.response.rows[representative_row]);
         let u = smoothing_error(at(&self.e, row), (T::splat(weight), Common(K)), &self.x[..K.len()]);
         self.add_span(response, own.noise, T::splat(0.5) * u * u);
         self.add_span(response, own.value, -u);
         absorb((states, Common(h)), &[u], &mut self.x);
         let (n, r) = (self.x.len(), K.len());
         for entry in response.entries(&own.h) {
-            let P = shared.record.before.get((standing * r + entry.i) * r..).unwrap_or(&[]);
-            let smoothed = self.smoothed(self.before[standing * n + entry.i], (entry.i < r).then_some(&P[..r]));
+            let P = shared.record.before.get((representative_row * r + entry.i) * r..).unwrap_or(&[]);
+            let smoothed = self.smoothed(self.before[representative_row * n + entry.i], (entry.i < r).then_some(&P[..r]));
             self.add(response, entry, u * smoothed);
         }
     }

@@ -24,30 +24,30 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
         let EqualDataBackward { stretch, first, marks, e, r: all } = self;
         let adjoint = stretch.coefficients::<T, N>(first);
         let mut r = known(all);
-        let (mut answers, mut xs) = (DataSums::none(), Vec::new());
+        let (mut sums, mut xs) = (DataSums::none(), Vec::new());
         for (number, (from, to)) in stretch.blocks().enumerate().rev() {
             let mut x = known(&marks[number * N..]);
-            let still = stretch.moving().clamp(from, to);
+            let first_steady = stretch.moving().clamp(from, to);
             xs.clear();
             for k in from..to {
                 xs.push(x);
                 x = adjoint.filter.state(&x, &stretch.weighted(k).1, at(e, k));
             }
-            if still < to {
-                let gain = stretch.weighted(still);
-                let prior = stretch.variances(still, &gain);
-                for k in (still..to).rev() {
-                    adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut answers);
+            if first_steady < to {
+                let gain = stretch.weighted(first_steady);
+                let prior = stretch.variances(first_steady, &gain);
+                for k in (first_steady..to).rev() {
+                    adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut sums);
                 }
             }
-            for k in (from..still).rev() {
+            for k in (from..first_steady).rev() {
                 let gain = stretch.weighted(k);
                 let prior = stretch.variances(k, &gain);
-                adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut answers);
+                adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut sums);
             }
         }
         all[..N].copy_from_slice(&r);
-        answers
+        sums
     }
 }
 

@@ -28,19 +28,19 @@ pub(crate) use classed::classes_of;
 pub(crate) use data_backward::ClassMember;
 
 /// Most numbers that are stored per test for the steps that are passed one by one.
-const MOST_NUMBERS: usize = 1 << 16;
+const MAX_STORED_NUMBERS: usize = 1 << 16;
 /// Most numbers in all stored matrices P.
-const MOST_SPREADS: usize = 1 << 20;
+const MAX_COVARIANCE_NUMBERS: usize = 1 << 20;
 /// Most measurements of a test, as their innovations are stored for each lane.
-const MOST_ROWS: usize = 1 << 23;
+const MAX_ROWS: usize = 1 << 23;
 /// Number of tests that one thread processes at a time; for long tests, it is the number of lanes.
-const SHARE: usize = 256;
+const TESTS_PER_TASK: usize = 256;
 
 impl Scorer<'_> {
     /// dℓ_j/dα of the tests of a class. `shared`: moments of ξ, and adjoints of the last state from later phases, which
     /// differ between the tests only in the means and in r. `None` where there is nothing to gain, or where the tests
     /// must be scored one by one.
-    pub(crate) fn of_class(
+    pub(crate) fn score_class(
         &self,
         tests: &[ClassMember<'_>],
         shared: (&Moments, Option<&TerminalAdjoint>),
@@ -51,15 +51,15 @@ impl Scorer<'_> {
         let first = tests[0].test;
         let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {
             let cells = self.reducer.preparer().measured_cells(first, work)?;
-            let blank = ZeroData::new(work, shared);
-            let input = blank.input((&work.design, gains), wanted);
+            let zero_data = ZeroData::new(work, shared);
+            let input = zero_data.input((&work.design, gains), wanted);
             input.cut(backward, &mut PullbackSink { adjoints, test: first, work });
-            let standing: Vec<usize> = backward.standing().collect();
-            let worth = adjoints.adjoint_count(work) * standing.len() <= tests.len() * work.design.steps();
-            if !worth || !is_small(&work.design, &standing, wanted) {
+            let representative_steps: Vec<usize> = backward.representative_steps().collect();
+            let pays_off = adjoints.adjoint_count(work) * representative_steps.len() <= tests.len() * work.design.steps();
+            if !pays_off || !is_within_limits(&work.design, &representative_steps, wanted) {
                 return Ok(None);
             }
-            let response = adjoints.response((first, work), standing.into_iter())?;
+            let response = adjoints.response((first, work), representative_steps.into_iter())?;
             input.forward(backward, &mut PullbackSink { adjoints, test: first, work });
             let segments = input.segments(backward);
             let shared = ClassShared {
@@ -76,7 +76,7 @@ impl Scorer<'_> {
                 let done = input.back(backward, &mut PullbackSink { adjoints, test: first, work });
                 adjoints.finished(done, first, work)
             };
-            let (design, data) = rayon::join(design, || of_data(&shared, tests));
+            let (design, data) = rayon::join(design, || data_parts(&shared, tests));
             Ok(sums(data, &design?))
         })?;
         // one by one, the error will be reported for the test that has it
@@ -85,11 +85,11 @@ impl Scorer<'_> {
 }
 
 /// Whether the numbers that the pass stores are within the limits.
-fn is_small(design: &Design, standing: &[usize], wanted: AdjointsWanted) -> bool {
-    let rows: usize = standing.iter().map(|&k| design.step(k).rows.len()).sum();
-    let many = usize::from(wanted.motion) * standing.len() + usize::from(wanted.equation) * rows;
+fn is_within_limits(design: &Design, representative_steps: &[usize], wanted: AdjointsWanted) -> bool {
+    let rows: usize = representative_steps.iter().map(|&k| design.step(k).rows.len()).sum();
+    let many = usize::from(wanted.motion) * representative_steps.len() + usize::from(wanted.equation) * rows;
     let (n, r) = (design.frame.n, design.frame.r);
-    design.rows() <= MOST_ROWS && rows + many * n <= MOST_NUMBERS && many * r * r <= MOST_SPREADS
+    design.rows() <= MAX_ROWS && rows + many * n <= MAX_STORED_NUMBERS && many * r * r <= MAX_COVARIANCE_NUMBERS
 }
 
 /// Input of the backward pass with data of zero.
@@ -115,19 +115,19 @@ impl ZeroData {
 
     fn input<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> BackwardInput<'a> {
         let ZeroData { start, inputs, values, moments, ending } = self;
-        BackwardInput { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
+        BackwardInput { design, gains, start, inputs, values, zero_data: true, moments, ending: ending.as_ref(), wanted }
     }
 }
 
 /// The data-dependent part of the score of each test.
-fn of_data(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient> {
+fn data_parts(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient> {
     let slots = &shared.response.slots;
     let share = |tests: &[ClassMember<'_>]| {
         let found = Isa::best().run(DataBackward { shared, tests });
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };
-    let many = if shared.design.rows() < classed::LONG { SHARE } else { Isa::best().lanes() };
+    let many = if shared.design.rows() < classed::MIN_LONG_ROWS { TESTS_PER_TASK } else { Isa::best().lanes() };
     match tests.len() <= many {
         true => share(tests),
         false => tests.par_chunks(many).flat_map_iter(share).collect(),

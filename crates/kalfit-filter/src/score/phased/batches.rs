@@ -17,7 +17,7 @@ use crate::score::smoother::SmoothedPhase;
 use kalfit_model::Test;
 
 /// Place of a test that is not requested.
-const NONE: usize = usize::MAX;
+const NOT_REQUESTED: usize = usize::MAX;
 
 /// (lane, place of its test among those requested, smoother result from which its pass starts).
 type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
@@ -36,7 +36,7 @@ impl PhasedScorer<'_> {
         let (members, batches) = filtered.phase(at);
         let rows = |&number: &usize| self.reducer.rows_of(at, &of.tests[number]).expect("members have rows");
         let rows: Vec<&Test> = members.iter().map(rows).collect();
-        let mut places = vec![NONE; of.tests.len()];
+        let mut places = vec![NOT_REQUESTED; of.tests.len()];
         numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
         let lane = |(lane, member): (usize, usize)| {
             let place = places[members[member]];
@@ -59,14 +59,14 @@ impl Scorer<'_> {
         room: &mut ScoreWorkspace<'_>,
     ) -> Vec<(usize, Gradient)> {
         let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
-        let told: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
+        let padded: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
         let later: Vec<TerminalAdjoint> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
             true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),
         };
         // lanes of tests that are not requested get a copy and are not read
-        let mut moments: Vec<&Moments> = vec![&told[0]; batch.layout.tests.len()];
-        own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
+        let mut moments: Vec<&Moments> = vec![&padded[0]; batch.layout.tests.len()];
+        own.iter().zip(&padded).for_each(|(&(lane, ..), padded)| moments[lane] = padded);
         let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
         own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
         let (filter, shape, wanted) = (&batch.values.batch_filter, &batch.layout.design, self.wanted());

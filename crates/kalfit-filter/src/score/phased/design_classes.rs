@@ -12,7 +12,7 @@ use crate::score::smoother::SmoothedPhase;
 use kalfit_model::PhasedTest;
 
 /// Number of tests for which one thread prepares the start at a time.
-const SHARE: usize = 64;
+const TESTS_PER_TASK: usize = 64;
 
 /// (number of the test, its score).
 pub(super) type Score = (usize, Result<Gradient, ReduceError>);
@@ -31,12 +31,12 @@ pub(super) struct ScoredEnsemble<'a> {
 /// What the score of one test of a class starts from: x̂ and r of each phase, and the gradient through the carries.
 struct MemberStart {
     phases: Vec<(Vec<f64>, Vec<f64>)>,
-    carried: Gradient,
+    carry_gradient: Gradient,
 }
 
 impl PhasedScorer<'_> {
     /// Scores of the tests of a class; one by one where the tests are identical in their rows only.
-    pub(super) fn of_class(
+    pub(super) fn score_class(
         &self,
         of: ScoredEnsemble<'_>,
         numbers: &[usize],
@@ -45,7 +45,7 @@ impl PhasedScorer<'_> {
         match self.together(of, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
             // one by one, an error is reported for the test that has it
-            Ok(None) | Err(_) => self.apart(of, numbers),
+            Ok(None) | Err(_) => self.score_unclassed(of, numbers),
         }
     }
 
@@ -61,31 +61,31 @@ impl PhasedScorer<'_> {
         let like = self.begin(of, first, &mut room.work)?;
         let begin = |numbers: &[usize]| {
             let mut room = self.room();
-            numbers.iter().map(|&number| self.begun(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
+            numbers.iter().map(|&number| self.member_start(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
         };
-        let begun: Vec<Result<Option<MemberStart>, ReduceError>> = if numbers.len() <= SHARE {
+        let member_start: Vec<Result<Option<MemberStart>, ReduceError>> = if numbers.len() <= TESTS_PER_TASK {
             begin(numbers)
         } else {
-            numbers.par_chunks(SHARE).flat_map_iter(begin).collect()
+            numbers.par_chunks(TESTS_PER_TASK).flat_map_iter(begin).collect()
         };
-        let Some(mut begun) = begun.into_iter().collect::<Result<Option<Vec<MemberStart>>, ReduceError>>()? else {
+        let Some(mut member_start) = member_start.into_iter().collect::<Result<Option<Vec<MemberStart>>, ReduceError>>()? else {
             return Ok(None);
         };
-        let mut scores: Vec<Gradient> = begun.iter_mut().map(|begun| std::mem::take(&mut begun.carried)).collect();
+        let mut scores: Vec<Gradient> = member_start.iter_mut().map(|member_start| std::mem::take(&mut member_start.carry_gradient)).collect();
         for (at, smooth) in like.iter().enumerate() {
             if self.reducer.rows_of(at, &of.tests[first]).is_none() {
                 continue;
             }
-            let told = |(&number, begun): (&usize, &mut MemberStart)| {
+            let members = |(&number, member_start): (&usize, &mut MemberStart)| {
                 let test = self.reducer.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
-                let (mean, ending) = std::mem::take(&mut begun.phases[at]);
+                let (mean, ending) = std::mem::take(&mut member_start.phases[at]);
                 ClassMember { test, mean, ending }
             };
-            let told: Vec<ClassMember<'_>> = numbers.iter().zip(&mut begun).map(told).collect();
+            let members: Vec<ClassMember<'_>> = numbers.iter().zip(&mut member_start).map(members).collect();
             let scorer = &self.phases[at];
             let ending = scorer.ending_of(smooth);
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
-            let Some(own) = scorer.of_class(&told, (&smooth.moments, ending.as_ref()), work)? else {
+            let Some(own) = scorer.score_class(&members, (&smooth.moments, ending.as_ref()), work)? else {
                 return Ok(None);
             };
             scores.iter_mut().zip(&own).for_each(|(score, own)| add(score, own));
@@ -94,7 +94,7 @@ impl PhasedScorer<'_> {
     }
 
     /// The start of a test's score; `None` where the test differs in more than that from the first of its class.
-    fn begun(
+    fn member_start(
         &self,
         of: ScoredEnsemble<'_>,
         (first, number): (usize, usize),
@@ -102,22 +102,22 @@ impl PhasedScorer<'_> {
         room: &mut ScoreWorkspace<'_>,
     ) -> Result<Option<MemberStart>, ReduceError> {
         let (test, reduction) = (&of.tests[number], of.reductions.get(number));
-        let alike = self.model.is_single() && !of.law.is_restricted() && !of.law.is_of_each();
+        let alike = self.model.is_single() && !of.law.is_restricted() && !of.law.has_posteriors();
         if let ([smooth], true) = (like, alike) {
             let same = same_bits(reduction.factor, of.reductions.factor(first));
             let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
-            return Ok(same.then(|| MemberStart { phases: phases(), carried: Gradient::new() }));
+            return Ok(same.then(|| MemberStart { phases: phases(), carry_gradient: Gradient::new() }));
         }
         let own = self.begin(of, number, &mut room.work)?;
         if own.len() != like.len() || !own.iter().zip(like).all(|(a, b)| a.same_design(b)) {
             return Ok(None);
         }
-        let carried = self.carried(test, &own, room)?;
+        let carry_gradient = self.carry_gradient(test, &own, room)?;
         let phase = |(scorer, smooth): (&Scorer<'_>, SmoothedPhase)| {
             let ending = scorer.ending_of(&smooth).map_or(Vec::new(), |ending| ending.r);
             (smooth.moments.mean, ending)
         };
-        Ok(Some(MemberStart { phases: self.phases.iter().zip(own).map(phase).collect(), carried }))
+        Ok(Some(MemberStart { phases: self.phases.iter().zip(own).map(phase).collect(), carry_gradient }))
     }
 }
 

@@ -40,34 +40,34 @@ impl TestScore {
 
 impl PhasedScorer<'_> {
     /// The scores of the tests with these numbers.
-    pub(super) fn apart(&self, of: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
-        let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.begin_alone(of, number, room);
+    pub(super) fn score_unclassed(&self, of: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
+        let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.start_test(of, number, room);
         let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
         for at in 0..self.phases.len() {
-            let mut left: Vec<bool> = known.iter().map(|known| known.error.is_none()).collect();
+            let mut remaining: Vec<bool> = known.iter().map(|known| known.error.is_none()).collect();
             for (place, gradient) in self.in_batches(at, of, numbers, &known) {
-                left[place] = false;
+                remaining[place] = false;
                 known[place].parts[at] = gradient;
             }
-            let left: Vec<usize> = (0..numbers.len()).filter(|&place| left[place]).collect();
-            for (place, score) in self.one_by_one(at, of, (numbers, left), &known) {
+            let remaining: Vec<usize> = (0..numbers.len()).filter(|&place| remaining[place]).collect();
+            for (place, score) in self.score_one_by_one(at, of, (numbers, remaining), &known) {
                 known[place].take(at, score.map_err(|error| self.reducer.phases()[at].named(error)));
             }
         }
         numbers.iter().copied().zip(known.into_iter().map(TestScore::score)).collect()
     }
 
-    fn begin_alone(&self, of: ScoredEnsemble<'_>, number: usize, room: &mut ScoreWorkspace<'_>) -> TestScore {
+    fn start_test(&self, of: ScoredEnsemble<'_>, number: usize, room: &mut ScoreWorkspace<'_>) -> TestScore {
         let mut known = TestScore { parts: vec![Gradient::new(); self.phases.len() + 1], ..TestScore::default() };
         let mut begin = || {
             let phases = self.begin(of, number, &mut room.work)?;
-            let carried = self.carried(&of.tests[number], &phases, room)?;
-            Ok((phases, carried))
+            let carry_gradient = self.carry_gradient(&of.tests[number], &phases, room)?;
+            Ok((phases, carry_gradient))
         };
         match begin() {
-            Ok((phases, carried)) => {
+            Ok((phases, carry_gradient)) => {
                 known.phases = phases;
-                known.parts[self.phases.len()] = carried;
+                known.parts[self.phases.len()] = carry_gradient;
             }
             Err(error) => known.error = Some(error),
         }
@@ -75,7 +75,7 @@ impl PhasedScorer<'_> {
     }
 
     /// Gradients through one phase, test by test, of the tests at `places` in `numbers`; each with its place.
-    fn one_by_one(
+    fn score_one_by_one(
         &self,
         at: usize,
         of: ScoredEnsemble<'_>,

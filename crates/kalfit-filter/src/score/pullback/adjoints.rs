@@ -15,15 +15,15 @@ use kalfit_model::Test;
 pub(crate) struct Adjoints<'a> {
     pub(super) pullback: &'a Pullback<'a>,
     pub(super) pending: Pending,
-    pub(super) moving: Moving,
-    pub(super) measuring: Measuring,
+    pub(super) moving: TransitionSums,
+    pub(super) unwhitening: UnwhiteningScratch,
     pub(super) replay: Replay,
     pub(super) start: StartAdjoint,
 }
 
 /// Accumulated adjoints of the transitions of a test.
 #[derive(Debug, Clone)]
-pub(super) struct Moving {
+pub(super) struct TransitionSums {
     pub(super) groups: Groups,
     /// Numbers of entries of φ and of Q.
     pub(super) entries: (usize, usize),
@@ -36,19 +36,19 @@ pub(super) struct Moving {
 
 /// Scratch for measurements whose noises are correlated.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Measuring {
+pub(super) struct UnwhiteningScratch {
     pub(super) raw: Vec<f64>,
     pub(super) back: Unwhitened,
     /// Adjoints of the measurements before they were whitened.
     pub(super) bars: MeasurementAdjoint,
 }
 
-impl Moving {
-    pub(super) fn new(pullback: &Pullback<'_>) -> Moving {
+impl TransitionSums {
+    pub(super) fn new(pullback: &Pullback<'_>) -> TransitionSums {
         let preparer = pullback.preparer;
         let (phi, q) = preparer.plan.entries();
         let flows = preparer.plan.flow_len;
-        Moving {
+        TransitionSums {
             groups: Groups::new(phi + q + flows, if pullback.needs.inputs { flows } else { 0 }),
             entries: (phi, q),
             cells: GatheredCells::default(),
@@ -65,8 +65,8 @@ impl Pullback<'_> {
         Adjoints {
             pullback: self,
             pending: Pending::new(&self.taps, &self.preparer.at(), self.slots),
-            moving: Moving::new(self),
-            measuring: Measuring::default(),
+            moving: TransitionSums::new(self),
+            unwhitening: UnwhiteningScratch::default(),
             replay: Replay::default(),
             start: StartAdjoint::default(),
         }
@@ -159,7 +159,7 @@ impl Adjoints<'_> {
 
     /// Returns the gradient of the test and clears the accumulator for the next one.
     pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
-        let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.pullback.context()));
+        let result = self.flush_groups(test, work).and_then(|()| self.pending.finish(&self.pullback.context()));
         self.clear();
         result
     }

@@ -59,10 +59,10 @@ impl Kernel for Pull<'_> {
         let Pull { pullback, block, .. } = &self;
         let mut sums = vec![T::splat(0.0); pullback.taps.len()];
         self.measured(&mut sums);
-        let room = |taps: &[Option<usize>]| -> Vec<(usize, Vec<f64>)> {
+        let zero_columns = |taps: &[Option<usize>]| -> Vec<(usize, Vec<f64>)> {
             pullback.columns(taps).map(|(slot, _)| (slot, vec![0.0; block.layout.transitions.dt.len()])).collect()
         };
-        let (mut values, mut inputs) = (room(&pullback.values), room(&pullback.inputs));
+        let (mut values, mut inputs) = (zero_columns(&pullback.values), zero_columns(&pullback.inputs));
         let (moves, width) = self.bars.moves();
         let mut bars = self.back.zero::<T>();
         for (t, own) in moves.chunks_exact((width * T::COUNT).max(1)).enumerate() {
@@ -99,16 +99,16 @@ impl Pull<'_> {
         let (layout, (rows, width)) = (self.block.layout, self.bars.rows());
         for (row, &meter) in layout.meters.iter().enumerate() {
             let MeterTaps { noise, constant, terms } = &self.pullback.meters[meter];
-            let here = T::load(&layout.measured[row * T::COUNT..]);
+            let is_measured = T::load(&layout.measured[row * T::COUNT..]);
             let bars = &rows[row * width * T::COUNT..][..width * T::COUNT];
             if let Some(tap) = *noise {
-                sums[tap] = here.fma(T::load(bars), sums[tap]);
+                sums[tap] = is_measured.fma(T::load(bars), sums[tap]);
             }
             if let Some(tap) = *constant {
-                sums[tap] = here.fnma(T::load(&bars[T::COUNT..]), sums[tap]);
+                sums[tap] = is_measured.fnma(T::load(&bars[T::COUNT..]), sums[tap]);
             }
             for &(state, tap) in terms {
-                sums[tap] = here.fma(T::load(&bars[(2 + state) * T::COUNT..]), sums[tap]);
+                sums[tap] = is_measured.fma(T::load(&bars[(2 + state) * T::COUNT..]), sums[tap]);
             }
         }
     }
@@ -127,9 +127,9 @@ impl Adjoints<'_> {
         let found = self.gather((block, bars, pulled), lane, tests).and_then(|()| {
             let pullback = self.pullback;
             let ([mean, variance], alpha) = (bars.start(lane), pullback.context().at.alpha);
-            let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+            let no_cells = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
             match block.layout.start_cells.get(lane) {
-                None => self.started_at((&nothing, &nothing), &mean, &variance),
+                None => self.started_at((&no_cells, &no_cells), &mean, &variance),
                 Some(own) => self.started_at((&own.first(test, alpha), &own.whole(alpha)), &mean, &variance),
             }
         });
@@ -146,9 +146,9 @@ impl Adjoints<'_> {
     ) -> Result<(), Box<Fault>> {
         let (pullback, lanes, layout) = (self.pullback, block.layout.lanes, block.layout);
         let context = pullback.context();
-        let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha: context.at.alpha };
+        let no_cells = Scope { numbers: &[], texts: &[], step: 0.0, alpha: context.at.alpha };
         for tap in (0..pullback.taps.len()).filter(|&tap| !pullback.reads(tap)) {
-            self.pending.add(&context, tap, pulled.sums[tap * lanes + lane], &nothing)?;
+            self.pending.add(&context, tap, pulled.sums[tap * lanes + lane], &no_cells)?;
         }
         if pullback.meters.iter().any(|meter| meter.taps().any(|tap| pullback.reads(tap))) {
             self.rows((block, bars), lane, tests)?;

@@ -10,7 +10,7 @@ use kalfit_model::Scope;
 
 /// Most groups, one for each distinct transition; when there are as many, their sums are passed on and they are
 /// cleared.
-const MOST: usize = 1024;
+const MAX_GROUPS: usize = 1024;
 
 /// The groups of a test so far.
 #[derive(Debug, Clone, Default)]
@@ -36,7 +36,7 @@ impl Groups {
     /// The group of a step, if it is that of the last step seen. `reads`: cells that coefficients with free values
     /// read.
     #[inline]
-    pub(super) fn again(
+    pub(super) fn last_group(
         &self,
         transition: &Arc<Transition>,
         reads: &[CellRead],
@@ -76,8 +76,8 @@ impl Groups {
     }
 
     /// Whether the groups must be settled before another one is added.
-    pub(super) fn full(&self) -> bool {
-        self.steps.len() >= MOST
+    pub(super) fn is_full(&self) -> bool {
+        self.steps.len() >= MAX_GROUPS
     }
 
     pub(super) fn sums(&mut self, group: usize) -> &mut [f64] {

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::reduce::{Fault, Workspace};
 use crate::score::backward::MeasurementAdjoint;
-use crate::score::pullback::adjoints::{Adjoints, Measuring};
+use crate::score::pullback::adjoints::{Adjoints, UnwhiteningScratch};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
@@ -26,9 +26,9 @@ impl Adjoints<'_> {
         if rows.len() < 2 || self.pullback.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
             return self.scalars(test, k, rows, work, bars);
         }
-        let own = std::mem::take(&mut self.measuring.bars);
+        let own = std::mem::take(&mut self.unwhitening.bars);
         let result = self.scalars(test, k, rows, work, &own);
-        self.measuring.bars = own;
+        self.unwhitening.bars = own;
         result
     }
 
@@ -68,7 +68,7 @@ impl Adjoints<'_> {
         work: &Workspace,
         bars: &MeasurementAdjoint,
     ) -> Result<bool, Box<Fault>> {
-        let Adjoints { pullback, pending, measuring: Measuring { raw, back, bars: own }, .. } = self;
+        let Adjoints { pullback, pending, unwhitening: UnwhiteningScratch { raw, back, bars: own }, .. } = self;
         let (context, meters, dt, m) = (pullback.context(), &pullback.preparer.meters, work.dt(k), rows.len());
         let instances = &work.instances.of(rows.clone());
         let found = meters.covariances(&context.at, test, dt, instances)?;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::reduce::{Evaluated, Fault, Transition, Workspace};
 use crate::score::backward::TransitionAdjoint;
-use crate::score::pullback::adjoints::{Adjoints, Moving};
+use crate::score::pullback::adjoints::{Adjoints, TransitionSums};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
@@ -24,9 +24,9 @@ impl Adjoints<'_> {
             return Ok(());
         }
         let Some(transition) = work.design.step(k).transition else { return Ok(()) };
-        let group = match self.again(transition, test, k, work)? {
+        let group = match self.last_group(transition, test, k, work)? {
             Some(group) => group,
-            None => self.enter(transition, test, k, work)?,
+            None => self.find_or_add_group(transition, test, k, work)?,
         };
         let (phi, q) = self.moving.entries;
         let sums = self.moving.groups.sums(group);
@@ -41,7 +41,7 @@ impl Adjoints<'_> {
 
     /// The group of the step, if it is that of the last step seen.
     #[inline]
-    fn again(
+    fn last_group(
         &mut self,
         transition: &Arc<Transition>,
         test: &Test,
@@ -50,10 +50,10 @@ impl Adjoints<'_> {
     ) -> Result<Option<usize>, Box<Fault>> {
         let Adjoints { pullback, moving, .. } = self;
         if pullback.reads.is_empty() {
-            return Ok(moving.groups.again(transition, &[], None));
+            return Ok(moving.groups.last_group(transition, &[], None));
         }
         let scope = pullback.preparer.moving(test, k, work, &mut moving.cells)?;
-        Ok(moving.groups.again(transition, &pullback.reads, Some(&scope)))
+        Ok(moving.groups.last_group(transition, &pullback.reads, Some(&scope)))
     }
 
     /// The cells that coefficients with free values read for the transition to step `k`.
@@ -67,15 +67,15 @@ impl Adjoints<'_> {
     }
 
     /// The group of the step, which is added if it is new.
-    fn enter(
+    fn find_or_add_group(
         &mut self,
         transition: &Arc<Transition>,
         test: &Test,
         k: usize,
         work: &Workspace,
     ) -> Result<usize, Box<Fault>> {
-        if self.moving.groups.full() {
-            self.settle(test, work)?;
+        if self.moving.groups.is_full() {
+            self.flush_groups(test, work)?;
         }
         let Adjoints { pullback, moving, replay, .. } = self;
         let preparer = pullback.preparer;
@@ -103,7 +103,7 @@ impl Adjoints<'_> {
     ) -> Result<(), Box<Fault>> {
         let Adjoints { pullback, moving, pending, replay, .. } = self;
         let (preparer, context) = (pullback.preparer, pullback.context());
-        let Moving { groups, entries: (phi, q), cells, .. } = moving;
+        let TransitionSums { groups, entries: (phi, q), cells, .. } = moving;
         let inputs = &preparer.dynamics.inputs;
         let scope = if inputs.varying.is_empty() {
             Scope { numbers: &[], texts: &[], step: work.dt(k), alpha: context.at.alpha }
@@ -129,10 +129,10 @@ impl Adjoints<'_> {
     }
 
     /// Passes the sums of the groups on to the coefficients, and clears the groups.
-    pub(super) fn settle(&mut self, test: &Test, work: &Workspace) -> Result<(), Box<Fault>> {
+    pub(super) fn flush_groups(&mut self, test: &Test, work: &Workspace) -> Result<(), Box<Fault>> {
         let Adjoints { pullback, moving, pending, replay, .. } = self;
         let (preparer, context) = (pullback.preparer, pullback.context());
-        let Moving { groups, entries: (phi, q), cells, sums, bars, flows, .. } = moving;
+        let TransitionSums { groups, entries: (phi, q), cells, sums, bars, flows, .. } = moving;
         for group in 0..groups.steps.len() {
             let k = groups.steps[group];
             let scope = preparer.moving(test, k, work, cells)?;

@@ -81,7 +81,7 @@ impl PullbackFactors {
     }
 
     /// Replaces slots by their indices into `slots`.
-    fn settle(mut self) -> PullbackFactors {
+    fn index_slots(mut self) -> PullbackFactors {
         let mut slots: Vec<usize> = self.factors.iter().map(|&(slot, _)| slot as usize).collect();
         slots.sort_unstable();
         slots.dedup();
@@ -95,7 +95,7 @@ impl PullbackFactors {
 /// What the response to one transition depends on: its address, and the cells that free coefficients read.
 type MoveKey = (usize, Vec<u64>);
 
-struct Asking<'a, 'b> {
+struct PullbackProbe<'a, 'b> {
     adjoints: &'a mut Adjoints<'b>,
     test: &'a Test,
     work: &'a Workspace,
@@ -114,14 +114,14 @@ impl Adjoints<'_> {
         (test, work): (&Test, &Workspace),
         steps: impl Iterator<Item = usize>,
     ) -> Result<PullbackFactors, Box<Fault>> {
-        let mut asking =
-            Asking { adjoints: self, test, work, response: PullbackFactors::default(), known: HashMap::new() };
-        let done = asking.all(steps);
-        let response = asking.response;
+        let mut probe =
+            PullbackProbe { adjoints: self, test, work, response: PullbackFactors::default(), known: HashMap::new() };
+        let done = probe.all(steps);
+        let response = probe.response;
         if done.is_err() {
             self.clear();
         }
-        done.map(|()| response.settle())
+        done.map(|()| response.index_slots())
     }
 
     /// Number of adjoints of one transition to which a response is computed.
@@ -133,7 +133,7 @@ impl Adjoints<'_> {
     }
 }
 
-impl Asking<'_, '_> {
+impl PullbackProbe<'_, '_> {
     fn all(&mut self, steps: impl Iterator<Item = usize>) -> Result<(), Box<Fault>> {
         let work = self.work;
         for k in steps {
@@ -151,7 +151,7 @@ impl Asking<'_, '_> {
     }
 
     /// Stores the response to the adjoints that were given, and returns its factors.
-    fn answer(&mut self) -> Result<FactorSpan, Box<Fault>> {
+    fn store_factors(&mut self) -> Result<FactorSpan, Box<Fault>> {
         let gradient: Gradient = self.adjoints.finish(self.test, self.work)?;
         let from = self.response.factors.len() as u32;
         self.response.factors.extend(gradient.iter().map(|&(slot, factor)| (slot as u32, factor)));
@@ -159,8 +159,8 @@ impl Asking<'_, '_> {
     }
 
     /// Stores the response as an entry, unless it is empty.
-    fn enter(&mut self, (i, j): (usize, usize)) -> Result<(), Box<Fault>> {
-        let span = self.answer()?;
+    fn store_entry(&mut self, (i, j): (usize, usize)) -> Result<(), Box<Fault>> {
+        let span = self.store_factors()?;
         if span.0 < span.1 {
             self.response.entries.push(ResponseEntry { i, j, span });
         }
@@ -217,7 +217,7 @@ impl Asking<'_, '_> {
 
     fn moved(&mut self, k: usize, bar: &TransitionAdjoint, at: (usize, usize)) -> Result<(), Box<Fault>> {
         self.adjoints.step_moved(self.test, k, self.work, bar)?;
-        self.enter(at)
+        self.store_entry(at)
     }
 
     /// The response to one scalar measurement: number `place` of the `many` measurements of step `k`.
@@ -227,24 +227,24 @@ impl Asking<'_, '_> {
         let taps = &pullback.meters[self.work.instances.get(row).meter];
         let mut own = RowResponse::default();
         let mut bar = MeasurementAdjoint { noise: vec![0.0; many], value: vec![0.0; many], h: vec![0.0; many * n] };
-        let mut ask = |asking: &mut Self, list: fn(&mut MeasurementAdjoint) -> &mut Vec<f64>, at: usize| {
+        let mut probe_adjoint = |probe: &mut Self, list: fn(&mut MeasurementAdjoint) -> &mut Vec<f64>, at: usize| {
             list(&mut bar)[at] = 1.0;
-            let done = asking.adjoints.step_measured(asking.test, k, asking.work, &bar);
+            let done = probe.adjoints.step_measured(probe.test, k, probe.work, &bar);
             list(&mut bar)[at] = 0.0;
             done
         };
         if taps.noise.is_some() {
-            ask(self, |bar| &mut bar.noise, place)?;
-            own.noise = self.answer()?;
+            probe_adjoint(self, |bar| &mut bar.noise, place)?;
+            own.noise = self.store_factors()?;
         }
         if taps.constant.is_some() {
-            ask(self, |bar| &mut bar.value, place)?;
-            own.value = self.answer()?;
+            probe_adjoint(self, |bar| &mut bar.value, place)?;
+            own.value = self.store_factors()?;
         }
         own.h.start = self.response.entries.len();
         for &(state, _) in &taps.terms {
-            ask(self, |bar| &mut bar.h, place * n + state)?;
-            self.enter((state, 0))?;
+            probe_adjoint(self, |bar| &mut bar.h, place * n + state)?;
+            self.store_entry((state, 0))?;
         }
         own.h.end = self.response.entries.len();
         Ok(own)
@@ -261,14 +261,14 @@ impl Asking<'_, '_> {
         for state in 0..n {
             mean[state] = 1.0;
             self.adjoints.started(self.test, self.work, &mean, &variance)?;
-            self.enter((state, 0))?;
+            self.store_entry((state, 0))?;
             mean[state] = 0.0;
         }
         self.response.mean.end = self.response.entries.len();
         for (i, j) in (0..r).flat_map(|i| (0..=i).map(move |j| (i, j))) {
             (variance[i * r + j], variance[j * r + i]) = (1.0, 1.0);
             self.adjoints.started(self.test, self.work, &mean, &variance)?;
-            self.enter((i, j))?;
+            self.store_entry((i, j))?;
             (variance[i * r + j], variance[j * r + i]) = (0.0, 0.0);
         }
         self.response.variance = self.response.mean.end..self.response.entries.len();

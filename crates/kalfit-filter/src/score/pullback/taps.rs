@@ -98,11 +98,11 @@ fn reads(expression: &Expression, alpha: &Alpha) -> Vec<CellRead> {
 pub(super) struct Pending {
     seeds: Vec<f64>,
     /// For each coefficient, whether a sum is pending.
-    begun: Vec<bool>,
+    has_sum: Vec<bool>,
     cells: Vec<u64>,
     row: Row,
     tape: Tape,
-    found: SlotSums,
+    slot_sums: SlotSums,
 }
 
 /// A row of data in which the cells of one coefficient are set.
@@ -125,14 +125,14 @@ impl Pending {
         let count = taps.taps.len();
         Pending {
             seeds: vec![0.0; count],
-            begun: vec![false; count],
+            has_sum: vec![false; count],
             cells: vec![0; taps.cells],
             row: Row {
                 numbers: vec![f64::NAN; at.model.columns.len()],
                 texts: vec![Label::MISSING; at.model.text_columns.len()],
             },
             tape: Tape::default(),
-            found: SlotSums { sums: vec![0.0; slots.len()], touched: vec![false; slots.len()], slots: Vec::new() },
+            slot_sums: SlotSums { sums: vec![0.0; slots.len()], touched: vec![false; slots.len()], slots: Vec::new() },
         }
     }
 
@@ -151,14 +151,14 @@ impl Pending {
         let FreeCoefficient { reads, start, .. } = &context.taps.taps[tap];
         if !reads.is_empty() {
             let known = &self.cells[*start..][..reads.len()];
-            let same = self.begun[tap] && reads.iter().zip(known).all(|(read, &bits)| read.bits(scope) == bits);
+            let same = self.has_sum[tap] && reads.iter().zip(known).all(|(read, &bits)| read.bits(scope) == bits);
             if !same {
                 self.flush(context, tap)?;
                 let cells = &mut self.cells[*start..][..reads.len()];
                 cells.iter_mut().zip(reads).for_each(|(bits, read)| *bits = read.bits(scope));
             }
         }
-        self.begun[tap] = true;
+        self.has_sum[tap] = true;
         self.seeds[tap] += seed;
         Ok(())
     }
@@ -166,7 +166,7 @@ impl Pending {
     /// Takes the pending sum of a coefficient through its expression.
     fn flush(&mut self, context: &Context<'_>, tap: usize) -> Result<(), Box<Fault>> {
         let seed = std::mem::take(&mut self.seeds[tap]);
-        if !std::mem::take(&mut self.begun[tap]) {
+        if !std::mem::take(&mut self.has_sum[tap]) {
             return Ok(());
         }
         let FreeCoefficient { expression, subject, reads, start } = &context.taps.taps[tap];
@@ -180,11 +180,11 @@ impl Pending {
         }
         let Row { numbers, texts } = &self.row;
         let scope = Scope { numbers, texts, step, alpha: context.at.alpha };
-        let (found, mut finite) = (&mut self.found, true);
+        let (slot_sums, mut finite) = (&mut self.slot_sums, true);
         let sink = &mut |parameter: usize, x: f64| {
             if let Some(slot) = context.slots.find(parameter, texts) {
                 finite &= x.is_finite();
-                found.add(slot, x);
+                slot_sums.add(slot, x);
             }
         };
         let done = expression.differentiate(seed, &scope, &mut self.tape, sink);
@@ -195,7 +195,7 @@ impl Pending {
     /// Returns the gradient; nothing is pending after it.
     pub(super) fn finish(&mut self, context: &Context<'_>) -> Result<Gradient, Box<Fault>> {
         (0..self.seeds.len()).try_for_each(|tap| self.flush(context, tap))?;
-        let gradient = self.found.take();
+        let gradient = self.slot_sums.take();
         match gradient.iter().all(|(_, x)| x.is_finite()) {
             true => Ok(gradient),
             false => Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite)),
@@ -205,8 +205,8 @@ impl Pending {
     /// Discards all pending and finished sums.
     pub(super) fn clear(&mut self) {
         self.seeds.fill(0.0);
-        self.begun.fill(false);
-        self.found.take();
+        self.has_sum.fill(false);
+        self.slot_sums.take();
     }
 }
 

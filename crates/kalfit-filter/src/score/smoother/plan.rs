@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::reduce::same_bits;
-use crate::score::smoother::{PhaseLaw, PhaseLaws, beside, inherited, terminal};
+use crate::score::smoother::{PhaseLaw, PhaseLaws, join_columns, inherited, terminal};
 use kalfit_algebra::{compressed, log_determinant, posterior_root, whitened, whitener};
 use kalfit_model::PhaseReduction;
 use kalfit_model::unpack;
@@ -56,7 +56,7 @@ pub(super) struct LinkPlan {
 #[derive(Debug, Clone)]
 pub(super) struct InheritPlan {
     /// PT', with P of the last state of the phase before.
-    pub(super) carried: DMatrix<f64>,
+    pub(super) cross_covariance: DMatrix<f64>,
     /// -NTP plus the terms of the directions of the mean.
     pub(super) transition: DMatrix<f64>,
 }
@@ -144,7 +144,7 @@ impl SmootherPlan {
                 plan.constant -= 0.5 * (log_determinant(&prior_lower) + left.norm_squared());
             }
             before = link.is_some().then(|| filtered(&pieces[i], &own_spread));
-            let (total, root) = (totals[i].factor.clone(), beside(&all.root, &all.directions));
+            let (total, root) = (totals[i].factor.clone(), join_columns(&all.root, &all.directions));
             plan.phases.push(PhasePlan { own, total, prior_lower, prior_factor, own_gain, gain, root, link, inherits });
         }
         plan
@@ -163,9 +163,9 @@ impl SmootherPlan {
         let mut totals = vec![LaterInformation { factor: own[last].clone(), columns: nothing(last) }];
         let mut links = vec![None];
         for i in (0..last).rev() {
-            let (link, later, total, lost) =
+            let (link, later, total, log_terms) =
                 LinkPlan::new((&pieces[i], &own[i]), (&pieces[i + 1], &laws[i + 1]), &totals[totals.len() - 1]);
-            self.constant -= 0.5 * lost;
+            self.constant -= 0.5 * log_terms;
             totals.push(total);
             links.push(Some((link, later)));
         }
@@ -203,21 +203,21 @@ impl LinkPlan {
         let mut fold = DMatrix::identity(rows + m, rows + m);
         let qr = both.qr();
         qr.q_tr_mul(&mut fold);
-        let mut turned = DMatrix::zeros(rows + m, columns.ncols());
-        turned.rows_mut(rows, m).copy_from(&whitened(&state_lower, &columns));
-        let turned = &fold * turned;
-        let left = turned.rows(rows, m).norm_squared();
-        let all = LaterInformation { factor: qr.r(), columns: turned.rows(0, rows).into_owned() };
-        let lost = log_determinant(&lower) + log_determinant(&state_lower) + left;
+        let mut rotated = DMatrix::zeros(rows + m, columns.ncols());
+        rotated.rows_mut(rows, m).copy_from(&whitened(&state_lower, &columns));
+        let rotated = &fold * rotated;
+        let left = rotated.rows(rows, m).norm_squared();
+        let all = LaterInformation { factor: qr.r(), columns: rotated.rows(0, rows).into_owned() };
+        let log_terms = log_determinant(&lower) + log_determinant(&state_lower) + left;
         let later = LaterInformation { factor: factor.clone(), columns };
         let (rho, N) = (DMatrix::zeros(0, 0), state_factor.transpose() * &state_factor);
-        (LinkPlan { lower, factor, state_lower, state_factor, rho, N, fold }, later, all, lost)
+        (LinkPlan { lower, factor, state_lower, state_factor, rho, N, fold }, later, all, log_terms)
     }
 
     /// Sets ρ = R'S⁻¹(RΨ_KC - D), with D of the directions of the mean.
     fn about(mut self, later: &LaterInformation, piece: &PhaseReduction, all: &PriorRoot) -> LinkPlan {
         let spread = &self.factor * &terminal(piece).sensitivity;
-        let rho = beside(&(&spread * &all.root), &(&spread * &all.directions - &later.columns));
+        let rho = join_columns(&(&spread * &all.root), &(&spread * &all.directions - &later.columns));
         self.rho = self.state_factor.transpose() * whitened(&self.state_lower, &rho);
         self
     }
@@ -227,11 +227,11 @@ impl InheritPlan {
     /// -NTP + Σ m(x + PT'm)' over the directions m of r, with the directions x of the last state of the phase before.
     fn new(piece: &PhaseReduction, before: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
         let T = &inherited(piece).transition;
-        let carried = &before.root * (T * &before.root).transpose();
+        let cross_covariance = &before.root * (T * &before.root).transpose();
         let directions = factor.transpose() * left;
-        let mut transition = -(factor.transpose() * factor) * carried.transpose();
-        transition += &directions * (&before.directions + &carried * &directions).transpose();
-        InheritPlan { carried, transition }
+        let mut transition = -(factor.transpose() * factor) * cross_covariance.transpose();
+        transition += &directions * (&before.directions + &cross_covariance * &directions).transpose();
+        InheritPlan { cross_covariance, transition }
     }
 }
 
@@ -244,7 +244,7 @@ fn spread(law: &PhaseLaw, q: usize) -> PriorRoot {
 fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     let terminal = terminal(piece);
     PriorRoot {
-        root: beside(&(&terminal.sensitivity * &own.root), &terminal.root),
+        root: join_columns(&(&terminal.sensitivity * &own.root), &terminal.root),
         directions: &terminal.sensitivity * &own.directions,
     }
 }
@@ -254,7 +254,7 @@ fn inherit(law: &PhaseLaw, piece: &PhaseReduction, before: &PriorRoot) -> PriorR
     let T = &inherited(piece).transition;
     let own = spread(law, T.nrows());
     PriorRoot {
-        root: compressed(&beside(&own.root, &(T * &before.root))),
+        root: compressed(&join_columns(&own.root, &(T * &before.root))),
         directions: own.directions + T * &before.directions,
     }
 }

@@ -13,7 +13,7 @@ struct PhaseData {
     totals: Vec<DVector<f64>>,
     laters: Vec<Option<DVector<f64>>>,
     /// Sum of the squares of the remainders.
-    left: f64,
+    remainder: f64,
 }
 
 impl SmootherPlan {
@@ -53,7 +53,7 @@ impl SmootherPlan {
         let residual = &data.totals[0] - &plan.total * self.first(laws);
         let squares = solved(&plan.prior_lower, residual).norm_squared();
         let constants: f64 = pieces.iter().map(|piece| piece.reduction.constant).sum();
-        constants + self.constant - 0.5 * (data.left + squares)
+        constants + self.constant - 0.5 * (data.remainder + squares)
     }
 
     fn first(&self, laws: &PhaseLaws) -> DVector<f64> {
@@ -63,7 +63,7 @@ impl SmootherPlan {
     fn gather(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> PhaseData {
         let own = |piece: &PhaseReduction| DVector::from_column_slice(&piece.reduction.data);
         let last = pieces.len() - 1;
-        let mut data = PhaseData { totals: vec![own(&pieces[last])], laters: vec![None], left: 0.0 };
+        let mut data = PhaseData { totals: vec![own(&pieces[last])], laters: vec![None], remainder: 0.0 };
         for i in (0..last).rev() {
             let (next, link) = (&pieces[i + 1], self.phases[i].link.as_ref().expect("a phase follows"));
             let mean = laws.laws[i + 1].mean(prior_size(next), Some(&inherited(next).input));
@@ -72,9 +72,9 @@ impl SmootherPlan {
             let state = solved(&link.state_lower, &later - &link.factor * &terminal(&pieces[i]).mean);
             let own = &pieces[i].reduction.data;
             let both = DVector::from_iterator(own.len() + state.len(), own.iter().chain(state.iter()).copied());
-            let turned = &link.fold * both;
-            data.left += turned.rows(own.len(), state.len()).norm_squared();
-            data.totals.push(turned.rows(0, own.len()).into_owned());
+            let rotated = &link.fold * both;
+            data.remainder += rotated.rows(own.len(), state.len()).norm_squared();
+            data.totals.push(rotated.rows(0, own.len()).into_owned());
             data.laters.push(Some(later));
         }
         data.totals.reverse();
@@ -97,7 +97,7 @@ impl InheritPlan {
     /// ∂ℓ/∂t = r, ∂ℓ/∂T = r (x + PT'r)' - NTP, with r and N of the prior of σ, and x and P of the last state of the
     /// phase before.
     fn bar(&self, before: &DVector<f64>, r: DVector<f64>) -> InheritanceAdjoint {
-        let smoothed = before + &self.carried * &r;
+        let smoothed = before + &self.cross_covariance * &r;
         InheritanceAdjoint { transition: &self.transition + &r * smoothed.transpose(), input: r }
     }
 }

@@ -172,10 +172,10 @@ fn dense(gradient: &Gradient) -> Vec<f64> {
 #[test]
 fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
     let moved = VALUES.map(|x| 1.1 * x + 0.01);
-    let mut sharp = VALUES; // noises so small that square-root arrays are needed
-    sharp[NOISE] = 1e-5;
-    sharp[NOISE + 1] = 2e-5;
-    let mut rooted = 0;
+    let mut small_noise = VALUES; // noises so small that square-root arrays are needed
+    small_noise[NOISE] = 1e-5;
+    small_noise[NOISE + 1] = 2e-5;
+    let mut square_root_tests = 0;
     for seed in 1..=60 {
         let (case, tests) = case(seed);
         let batches = case.batches(&tests);
@@ -185,7 +185,7 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
             "seed {seed}: {:?} are in batches",
             batches.has
         );
-        for values in [&VALUES, &moved, &sharp, &VALUES] {
+        for values in [&VALUES, &moved, &small_noise, &VALUES] {
             let (found, scores) = case.at(values, &tests, Some(&batches));
             let (expected, by_themselves) = case.at(values, &tests, None);
             let in_lanes = case.in_lanes(values, &tests, &batches);
@@ -194,10 +194,10 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
                 let what = format!("seed {seed}, {}", alone.test);
                 // weak observability and small noises amplify the rounding of flows; where two measurements have
                 // correlated noise and are whitened, the amplification is the square of the ratio of their noises
-                let tolerance = if values == &sharp { 1e-6 } else { 1e-10 };
-                rooted += usize::from(own.path == Path::SquareRoot);
+                let tolerance = if values == &small_noise { 1e-6 } else { 1e-10 };
+                square_root_tests += usize::from(own.path == Path::SquareRoot);
                 // a test that fails in its lane is computed in another way, which the numbers would not show
-                let kept = values == &sharp || in_lanes[j] || alone.path == Path::SquareRoot || !batches.has[j];
+                let kept = values == &small_noise || in_lanes[j] || alone.path == Path::SquareRoot || !batches.has[j];
                 assert!(kept, "{what} was left out of its lane");
                 assert_eq!((own.test, own.steps, own.observations), (alone.test, alone.steps, alone.observations));
                 assert_eq!(own.constant, alone.constant, "{what}, to the bit");
@@ -206,7 +206,7 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
             }
         }
     }
-    assert!(rooted > 100, "{rooted} tests by square-root arrays");
+    assert!(square_root_tests > 100, "{square_root_tests} tests by square-root arrays");
 }
 
 /// Tests so long that the backward pass takes them in blocks: several in lanes, and one alone.
@@ -234,10 +234,10 @@ fn long_tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themsel
 /// The reference is differences of the log-density of both measurements, in 60 digits.
 #[test]
 fn the_score_of_small_correlated_noise_is_that_of_exact_arithmetic() {
-    let mut sharp = VALUES;
-    (sharp[NOISE], sharp[NOISE + 1]) = (1e-5, 2e-5);
+    let mut small_noise = VALUES;
+    (small_noise[NOISE], small_noise[NOISE + 1]) = (1e-5, 2e-5);
     let (case, tests) = case(6);
-    let (_, scores) = case.at(&sharp, &tests[..1], Some(&case.batches(&tests[..1])));
+    let (_, scores) = case.at(&small_noise, &tests[..1], Some(&case.batches(&tests[..1])));
     let exact = [
         -0.00179490939443764,
         -0.0273711752517198,
@@ -268,28 +268,28 @@ fn blocks_do_not_depend_on_the_order_of_tests() {
 #[test]
 fn phases_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
     let moved = VALUES.map(|x| 1.1 * x + 0.01);
-    let mut sharp = VALUES; // noises so small that square-root arrays are needed
-    sharp[NOISE] = 1e-5;
-    sharp[NOISE + 1] = 2e-5;
+    let mut small_noise = VALUES; // noises so small that square-root arrays are needed
+    small_noise[NOISE] = 1e-5;
+    small_noise[NOISE + 1] = 2e-5;
     // tests of one, two and three phases
     let tests: Vec<PhasedTest> = (1..=9).rev().flat_map(journeys).collect();
     let model = journey();
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
-    let mut rooted = 0;
+    let mut square_root_tests = 0;
     let case = Case { model, slots, law: law() };
     let batches = case.batches(&tests);
     assert!(batches.has.iter().all(|&has| has), "all tests are in batches: {:?}", batches.has);
-    for values in [&VALUES, &moved, &sharp, &VALUES] {
+    for values in [&VALUES, &moved, &small_noise, &VALUES] {
         let (found, scores) = case.at(values, &tests, Some(&batches));
         let (expected, by_themselves) = case.at(values, &tests, None);
-        let tolerance = if values == &sharp { 1e-8 } else { 1e-11 };
+        let tolerance = if values == &small_noise { 1e-8 } else { 1e-11 };
         for j in 0..tests.len() {
             let (own, alone) = (found.get(j), expected.get(j));
             let what = format!("test {} of {} phases", alone.test, tests[j].phases.len());
-            rooted += usize::from(own.path == Path::SquareRoot);
+            square_root_tests += usize::from(own.path == Path::SquareRoot);
             near(&format!("{what}, ℓ"), tolerance, &[own.constant], &[alone.constant]);
             near(&format!("{what}, score"), tolerance, &dense(&scores[j]), &dense(&by_themselves[j]));
         }
     }
-    assert!(rooted > 5, "{rooted} tests by square-root arrays");
+    assert!(square_root_tests > 5, "{square_root_tests} tests by square-root arrays");
 }
