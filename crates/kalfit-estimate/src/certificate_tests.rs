@@ -143,12 +143,17 @@ impl Candidate {
     }
 
     /// The iterate at a Σ of the structure, with a root in the form of the structure.
-    fn of_members(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], sigma: &DMatrix<f64>) -> Candidate {
+    fn of_members(
+        data: &Reductions,
+        covariance: &CovarianceStructure,
+        mean: &[f64],
+        sigma: &DMatrix<f64>,
+    ) -> Candidate {
         let candidate = Candidate::new(data, covariance, mean, &DMatrix::zeros(mean.len(), mean.len()));
         let map = &candidate.problem.covariance;
         let root = map.root_of(&candidate.problem.classes.frame.covariance_in(sigma));
-        let iterate =
-            NewtonIterate::new(&candidate.problem, map, Point { root, ..candidate.iterate.point }, None).expect("a finite place");
+        let iterate = NewtonIterate::new(&candidate.problem, map, Point { root, ..candidate.iterate.point }, None)
+            .expect("a finite place");
         Candidate { iterate, problem: candidate.problem }
     }
 
@@ -281,7 +286,11 @@ fn a_positive_score_on_a_slanted_null_space_is_refused() {
                 let (free, size) = ((p - range.len()) as f64, m * (TESTS as f64 / 2.0).sqrt());
                 let what = format!("G = {m} off the range, rank {} of {p}", range.len());
                 let least = if range.is_empty() { size } else { 0.75 * size };
-                of(m).candidate(&full()).is_refused_between(least * (1.0 - 1e-7), size * free.sqrt() * (1.0 + 1e-7), &what);
+                of(m).candidate(&full()).is_refused_between(
+                    least * (1.0 - 1e-7),
+                    size * free.sqrt() * (1.0 + 1e-7),
+                    &what,
+                );
                 of(-m).candidate(&full()).is_accepted("a negative score there");
             }
         }
@@ -310,7 +319,11 @@ fn a_trap_of_zero_columns_is_left_for_the_maximum() {
     for (range, off) in [(vec![], vec![0.4, 1.3, 0.2]), (vec![0.7], vec![1.3, 0.2]), (vec![0.7, 2.0], vec![0.3])] {
         let case = Case::new(design(3), &range, &off);
         let candidate = case.candidate(&full());
-        assert!(candidate.iterate.decrement() < 1e-7, "no gradient in L leads away from here: {}", candidate.iterate.decrement());
+        assert!(
+            candidate.iterate.decrement() < 1e-7,
+            "no gradient in L leads away from here: {}",
+            candidate.iterate.decrement()
+        );
         let limits = ClimbLimits { tolerance: 1e-8, steps: 60 };
         let map = &candidate.problem.covariance;
         let (end, stop) = climb(&candidate.problem, map, TESTS as f64, candidate.iterate.clone(), limits);
@@ -321,7 +334,8 @@ fn a_trap_of_zero_columns_is_left_for_the_maximum() {
         let found = candidate.problem.values_of(&end.point).covariance;
         assert!((&found - &expected).amax() < 1e-6, "rank {}: {found} {expected}", range.len());
         // one step leaves the trap
-        let (end, _) = climb(&candidate.problem, map, TESTS as f64, candidate.iterate.clone(), ClimbLimits { steps: 1, ..limits });
+        let (end, _) =
+            climb(&candidate.problem, map, TESTS as f64, candidate.iterate.clone(), ClimbLimits { steps: 1, ..limits });
         let gain = end.local.value - candidate.iterate.local.value;
         assert!(gain > 0.1, "rank {}: {gain}", range.len());
         // where no step may follow, the end is not certified

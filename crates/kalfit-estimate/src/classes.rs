@@ -189,7 +189,7 @@ impl Classes {
         (frame, elements, chained): (&Frame, &Elements, bool),
         found: (usize, DMatrix<f64>, Vec<f64>),
     ) -> Classes {
-        let chains = if chained { side_by_side(reductions, &members, (frame, elements)) } else { Vec::new() };
+        let chains = if chained { for_lanes(reductions, &members, (frame, elements)) } else { Vec::new() };
         let lanes = lanes_of_classes(&chains, members.len());
         let has_blocks = elements.is_single() && !frame.scale.is_empty();
         let apart = |j: usize| reductions.path(j) == Path::SquareRoot || reductions.exact(j).is_some();
@@ -232,7 +232,7 @@ impl Classes {
         };
         let (blocks, shared) = (filled(false, single), filled(true, several));
         let listed = list(listed, fill);
-        let alone = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_careful);
+        let alone = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_by_rotations);
         Classes {
             unbatched: (0..listed.len()).filter(alone).collect(),
             places: Arc::new(places),
@@ -469,16 +469,12 @@ pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> 
 }
 
 /// Packs classes of tests in phases into lanes where possible, by their numbers.
-fn side_by_side(
-    reductions: &Reductions,
-    members: &Members,
-    (frame, elements): (&Frame, &Elements),
-) -> Vec<Arc<Packed>> {
+fn for_lanes(reductions: &Reductions, members: &Members, (frame, elements): (&Frame, &Elements)) -> Vec<Arc<Packed>> {
     let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
     let chains_of =
         |k: usize| -> Vec<&Chain> { members.class(k).iter().filter_map(|&j| reductions.chain(j)).collect() };
     let shapes: Vec<Option<ChainShape>> =
-        (0..members.len()).into_par_iter().map(|k| ChainShape::side_by_side(&chains_of(k), ranges)).collect();
+        (0..members.len()).into_par_iter().map(|k| ChainShape::for_lanes(&chains_of(k), ranges)).collect();
     let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
     let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), chains_of));
     groups.into_par_iter().map(pack).collect()

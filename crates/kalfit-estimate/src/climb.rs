@@ -32,7 +32,9 @@ pub fn climb(
     let mut damping = Damping::default();
     for _ in 0..limits.steps {
         if iterate.decrement() <= limits.tolerance {
-            match step_off_boundary(objective, map, tests, &mut iterate).or_else(|| step_along_flat(objective, map, &mut iterate)) {
+            match step_off_boundary(objective, map, tests, &mut iterate)
+                .or_else(|| step_along_flat(objective, map, &mut iterate))
+            {
                 Some(better) => iterate = better,
                 None => return (iterate, Stop::Certified),
             }
@@ -57,7 +59,8 @@ pub(crate) fn step_off_boundary(
     let escape = escape?;
     let mut length = escape.length;
     for _ in 0..8 {
-        if let Some(next) = iterate.try_successor(objective, |iterate| grown(objective, map, iterate, &escape, length)) {
+        if let Some(next) = iterate.try_successor(objective, |iterate| grown(objective, map, iterate, &escape, length))
+        {
             return Some(next);
         }
         length *= 0.25;
@@ -66,7 +69,11 @@ pub(crate) fn step_off_boundary(
 }
 
 /// A better iterate along the flat directions that ordinary steps leave out, where ℓ rises as their slopes promise.
-pub(crate) fn step_along_flat(objective: &dyn Objective, map: &CovarianceMap, iterate: &mut NewtonIterate) -> Option<NewtonIterate> {
+pub(crate) fn step_along_flat(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    iterate: &mut NewtonIterate,
+) -> Option<NewtonIterate> {
     let (step, promised) = iterate.curvature.along_flat()?;
     iterate.try_successor(objective, |iterate| {
         let point = moved(objective, map, iterate, &step)?;

@@ -61,7 +61,8 @@ impl Curvature {
         let n = h.nrows();
         let own = |i: usize| h[(i, i)].abs() * tangent.sizes[i].powi(2);
         let largest = (0..n).map(own).fold(0.0, f64::max);
-        let unit = |i: usize| if own(i) > NEGLIGIBLE_INFORMATION * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
+        let unit =
+            |i: usize| if own(i) > NEGLIGIBLE_INFORMATION * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
         let gradient = tangent.gradient.component_mul(&scale);
         Curvature::scaled_by(scale, gradient, h.as_view())
@@ -76,7 +77,8 @@ impl Curvature {
     ) -> Curvature {
         let mut found = Curvature { scale, gradient, undamped: None, spectrum: OnceLock::new() };
         // with many states neither the matrix nor its root can be stored, but the step derived from them can
-        found.undamped = Regular::within(found.scaled(information)).map(|root| UndampedStep::of(&root, &found.gradient));
+        found.undamped =
+            Regular::within(found.scaled(information)).map(|root| UndampedStep::of(&root, &found.gradient));
         if found.undamped.is_none() {
             found.spectrum(information);
         }

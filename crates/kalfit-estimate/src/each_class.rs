@@ -90,11 +90,11 @@ impl Kernel for PackedTerms<'_, '_, '_> {
         let PackedTerms { packed, class, regressors, point, root, detail, terms, of } = self;
         let covariates = packed.covariates::<T>(class, regressors.len());
         let mean = packed.means(&covariates, point, regressors);
-        let said = packed.said::<T>(&mean, root, detail);
+        let evaluated = packed.evaluated::<T>(&mean, root, detail);
         let ranges: Vec<Range<usize>> = packed.shape().ranges().cloned().collect();
         for (lane, &k) in packed.members().iter().enumerate() {
-            match &said {
-                Some(said) => terms.take((&ranges, class(k)), said, detail, |x| x.lane(lane)),
+            match &evaluated {
+                Some(evaluated) => terms.take((&ranges, class(k)), evaluated, detail, |x| x.lane(lane)),
                 None => terms.evaluate(class(k), detail),
             }
             of(k, terms);

@@ -81,7 +81,9 @@ fn second_moment(
     tests: &DVector<f64>,
 ) -> DMatrix<f64> {
     let variance_reduction = sigma * (&sums.weight - sums.moment()) * sigma;
-    let spread = DMatrix::from_fn(variance_reduction.nrows(), variance_reduction.ncols(), |i, j| sigma[(i, j)] - variance_reduction[(i, j)] / tests[i]);
+    let spread = DMatrix::from_fn(variance_reduction.nrows(), variance_reduction.ncols(), |i, j| {
+        sigma[(i, j)] - variance_reduction[(i, j)] / tests[i]
+    });
     spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
 }
 

@@ -75,11 +75,19 @@ impl Kernel for Forms<'_> {
     fn run<T: Lanes>(self) -> Option<Vec<f64>> {
         let covariates = self.packed.covariates::<T>(|k| self.classes.get(k), self.regressors.len());
         let mean = self.packed.means(&covariates, self.point, self.regressors);
-        let said = self.packed.said::<T>(&mean, self.root, ChainDetail::Between)?;
+        let evaluated = self.packed.evaluated::<T>(&mean, self.root, ChainDetail::Between)?;
         let columns = self.directions.ncols();
         let mut forms = vec![T::splat(0.0); columns];
         let ranges: Vec<&Range<usize>> = self.packed.shape().ranges().collect();
-        by_column_blocks(0, &mut OfDirections { said: &said, ranges: &ranges, directions: self.directions, forms: &mut forms });
+        by_column_blocks(
+            0,
+            &mut OfDirections {
+                evaluated: &evaluated,
+                ranges: &ranges,
+                directions: self.directions,
+                forms: &mut forms,
+            },
+        );
         let mut found = vec![0.0; columns * T::COUNT];
         for (c, form) in forms.iter().enumerate() {
             for lane in 0..T::COUNT {
@@ -92,7 +100,7 @@ impl Kernel for Forms<'_> {
 
 /// The kernel of `Forms` for a few directions at a time.
 struct OfDirections<'a, T> {
-    said: &'a ChainTerms<T>,
+    evaluated: &'a ChainTerms<T>,
     ranges: &'a [&'a Range<usize>],
     directions: &'a DMatrix<f64>,
     forms: &'a mut [T],
@@ -108,7 +116,7 @@ impl<T: Lanes> ColumnWork for OfDirections<'_, T> {
     fn part<const N: usize>(&mut self, from: usize) {
         let zero = T::splat(0.0);
         let mut sums = [zero; N];
-        let mut blocks = self.said.W.iter();
+        let mut blocks = self.evaluated.W.iter();
         for (k, one) in self.ranges.iter().enumerate() {
             let (before, own) = blocks.as_slice().split_at(k);
             blocks.nth(k);

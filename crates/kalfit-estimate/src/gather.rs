@@ -75,7 +75,7 @@ pub(super) fn gather_chains(
     [&mut class.factor, &mut class.mean, &mut class.scatter].into_iter().for_each(Vec::clear);
     class.constant = chains.iter().map(constant).sum();
     class.square_root = false;
-    let made = || ChainStore::Apart(ChainedClass::new(&chains, elements.blocks(), frame).into());
+    let made = || ChainStore::Single(ChainedClass::new(&chains, elements.blocks(), frame).into());
     class.chain = Some(place.unwrap_or_else(made));
     set_count_and_covariates(reductions, tests, frame, class);
 }

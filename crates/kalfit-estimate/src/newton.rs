@@ -317,7 +317,11 @@ mod tests {
         // as much
         for (slope, blind, tries) in [(4e-7, true, 1), (5e-7, true, 2), (1e-3, false, MAX_ATTEMPTS)] {
             let (end, _, evaluated) = attempt(slope, 0.0, |x| Some(-x.abs()));
-            assert_eq!((matches!(end, Attempt::BelowRounding), evaluated.len()), (blind, tries), "{slope}: {evaluated:?}");
+            assert_eq!(
+                (matches!(end, Attempt::BelowRounding), evaluated.len()),
+                (blind, tries),
+                "{slope}: {evaluated:?}"
+            );
         }
         // a step whose value falls by less than 1e-13 is not refused
         let (end, ..) = attempt(4e-7, 0.0, |x| Some(if x == 0.0 { 0.0 } else { -0.9e-13 }));

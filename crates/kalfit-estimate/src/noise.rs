@@ -40,7 +40,11 @@ pub struct ScalableNoise {
 
 impl ScalableNoise {
     /// From reductions at λ = 1, of which each says what it knows of the level of the noise.
-    pub fn new(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<ScalableNoise, FitError> {
+    pub fn new(
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+        settings: &Settings,
+    ) -> Result<ScalableNoise, FitError> {
         let classes = problem(reductions, structure, settings)?.classes;
         let sum = |residuals: &mut dyn Iterator<Item = Residual>| residuals.fold(Residual::default(), Residual::and);
         let of_test = |&j: &usize| Residual::of(reductions, j);
@@ -207,8 +211,10 @@ mod tests {
                     assert!((slope - by_differences).abs() < 1e-5 * (1.0 + slope.abs()), "{slope} {by_differences}");
                     let all: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
                     let with_reductions = found.state.clone().with_reductions(&all).expect("sound");
-                    let again =
-                        with_reductions.problem.sums(&with_reductions.newton_iterate.point, Order::First, None).expect("defined");
+                    let again = with_reductions
+                        .problem
+                        .sums(&with_reductions.newton_iterate.point, Order::First, None)
+                        .expect("defined");
                     assert!(near(again.value, found.log_likelihood), "{} {}", again.value, found.log_likelihood);
                 }
             }

@@ -29,7 +29,9 @@ pub fn memory(blocks: &[usize]) -> u64 {
     let elements = blocks.iter().map(|&p| pairs(p)).fold(0, usize::saturating_add);
     let pairs_of_blocks = blocks.iter().enumerate().flat_map(|(f, p)| blocks[..f].iter().map(move |q| p * q));
     let between = pairs_of_blocks.map(square).fold(0, u64::saturating_add);
-    (square(elements).saturating_mul(FULL_MATRICES)).saturating_add(between.saturating_mul(BETWEEN_MATRICES)).saturating_mul(8)
+    (square(elements).saturating_mul(FULL_MATRICES))
+        .saturating_add(between.saturating_mul(BETWEEN_MATRICES))
+        .saturating_mul(8)
 }
 
 /// Input of the restricted likelihood for every class: X = E × jacobian, the derivative of the mean by its free

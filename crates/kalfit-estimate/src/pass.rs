@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::chained::{ChainDetail, Packed};
 use crate::class::{Class, ClassRef};
 use crate::classes::Classes;
-use crate::lanes::{Accumulator, ChainKernel, ChainSums, ClassEvaluator, ClassSums, InPhases};
+use crate::lanes::{Accumulator, ChainContribution, ChainKernel, ChainSums, ClassEvaluator, ClassSums};
 use crate::levels;
 use crate::order::Order;
 use crate::order::{FlatMean, SumsWanted, max_tasks};
@@ -34,7 +34,8 @@ impl SumsWanted<'_> {
         let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
         let of = |rows: usize| DMatrix::zeros(if second > 0 { rows } else { 0 }, second);
         let coordinates = zero.mean_score.len();
-        zero.group_derivatives = Some(GroupDerivatives { observed: of(second), cross: of(coordinates), expected: of(second) });
+        zero.group_derivatives =
+            Some(GroupDerivatives { observed: of(second), cross: of(coordinates), expected: of(second) });
         zero
     }
 
@@ -68,8 +69,8 @@ pub(crate) fn pass(
     sums.value += classes.blocks.constant() + classes.shared.constant();
     classes.blocks.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
     classes.shared.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
-    let refused = add_chains(&mut sums, classes, point, wanted);
-    if refused.is_empty() { sums } else { sums.and(1.0, &one_by_one(&refused, point, wanted)) }
+    let needs_rotations = add_chains(&mut sums, classes, point, wanted);
+    if needs_rotations.is_empty() { sums } else { sums.and(1.0, &one_by_one(&needs_rotations, point, wanted)) }
 }
 
 /// The value that stands for ℓ = -∞ in sums that are sent and added up.
@@ -100,10 +101,10 @@ fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: 
     let each = classes.chains.len().div_ceil(MAX_CHAIN_TASKS).max(CLASSES_PER_TASK / isa.lanes());
     let all: Vec<ChainSums> = classes.chains.par_chunks(each).map(of).collect();
     let mut left = Vec::new();
-    for ChainSums { totals, constant, refused } in all {
+    for ChainSums { totals, constant, needs_rotations } in all {
         sums.value += constant;
         sums.take(totals);
-        left.extend(refused.into_iter().map(|number| classes.listed.get(number)));
+        left.extend(needs_rotations.into_iter().map(|number| classes.listed.get(number)));
     }
     left
 }
@@ -114,8 +115,8 @@ pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWa
         let (mut sums, mut at) = (Accumulator::new(wanted), ClassEvaluator::new(point, wanted.regressors));
         for &class in chunk {
             if let Some(chain) = class.chain {
-                let said = &at.in_phases(class, chain, wanted.detail());
-                sums.add(&InPhases { said, count: class.count }, class.covariates);
+                let evaluated = &at.in_phases(class, chain, wanted.detail());
+                sums.add(&ChainContribution { evaluated, count: class.count }, class.covariates);
             } else {
                 sums.add(&at.whole(class, wanted.elements.blocks()), class.covariates);
             }

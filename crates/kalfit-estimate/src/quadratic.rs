@@ -55,7 +55,12 @@ fn value_rounding(iterate: &NewtonIterate) -> f64 {
 }
 
 /// The model's maximum, and the gain that it promises; `None` where the maximum is too far off.
-fn model_maximum(objective: &dyn Objective, map: &CovarianceMap, tests: f64, iterate: &NewtonIterate) -> Option<(Point, f64)> {
+fn model_maximum(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    tests: f64,
+    iterate: &NewtonIterate,
+) -> Option<(Point, f64)> {
     let model = LocalQuadratic::new(objective, iterate, &map.elements);
     let start = NewtonIterate::new(&model, map, iterate.point.clone(), None)?;
     let limits = ClimbLimits { tolerance: 1e-4 * iterate.decrement().min(1.0), steps: MODEL_STEPS };

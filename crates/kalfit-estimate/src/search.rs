@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::DMatrix;
 
 use crate::certificate::{Certificate, certificate};
-use crate::climb::{step_off_boundary, step_along_flat};
+use crate::climb::{step_along_flat, step_off_boundary};
 use crate::em;
 use crate::em::ConditionalStep;
 use crate::error::FitError;
@@ -132,7 +132,9 @@ impl<'a> Search<'a> {
         loop {
             if iterate.decrement() <= self.settings.tolerance {
                 let (objective, map) = (&self.problem, &self.problem.covariance);
-                match step_off_boundary(objective, map, tests, &mut iterate).or_else(|| step_along_flat(objective, map, &mut iterate)) {
+                match step_off_boundary(objective, map, tests, &mut iterate)
+                    .or_else(|| step_along_flat(objective, map, &mut iterate))
+                {
                     Some(better) => iterate = better,
                     None => return Ok((iterate, Stop::Certified)),
                 }
@@ -145,7 +147,10 @@ impl<'a> Search<'a> {
             before = iterate.decrement();
             if !fast || iterate.local.gradient_size() <= CHEAP_MODEL_SIZE {
                 let mut next = quadratic::step(&self.problem, &self.problem.covariance, tests, &mut iterate);
-                if next.is_none() && iterate.decrement() < LAST_STEP_DECREMENT && !std::mem::replace(&mut tried_at_zero, true) {
+                if next.is_none()
+                    && iterate.decrement() < LAST_STEP_DECREMENT
+                    && !std::mem::replace(&mut tried_at_zero, true)
+                {
                     let closer = 0.5 * iterate.decrement();
                     next = self.with_zero_columns(&mut iterate, EARLY_SNAP_SIZE, closer)?;
                 }
@@ -323,7 +328,8 @@ impl<'a> Search<'a> {
         let Some(root) = unobserved::restored(map, information, start, &iterate.point.root) else { return Ok(iterate) };
         let point = Point { root, ..iterate.point.clone() };
         let enough = iterate.decrement().max(self.settings.tolerance);
-        let fine = |next: &NewtonIterate, iterate: &NewtonIterate| is_as_good(next, iterate) && next.decrement() <= enough;
+        let fine =
+            |next: &NewtonIterate, iterate: &NewtonIterate| is_as_good(next, iterate) && next.decrement() <= enough;
         Ok(self.try_successor(&mut iterate, point, fine)?.unwrap_or(iterate))
     }
 

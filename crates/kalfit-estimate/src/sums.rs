@@ -247,7 +247,9 @@ impl Sums {
     pub(super) fn with_folded_expected(mut self) -> Sums {
         if self.folded_expected.is_none() {
             self.folded_expected = Some(match &mut self.group_derivatives {
-                Some(group_derivatives) => Folded::of(std::mem::replace(&mut group_derivatives.expected, DMatrix::zeros(0, 0))),
+                Some(group_derivatives) => {
+                    Folded::of(std::mem::replace(&mut group_derivatives.expected, DMatrix::zeros(0, 0)))
+                }
                 None => self.elements.folded_over(self.expected_term()),
             });
         }
@@ -291,7 +293,8 @@ impl Sums {
     /// All sums, as a list.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
-        let group_derivatives = self.group_derivatives.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
+        let group_derivatives =
+            self.group_derivatives.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
         let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
         let blocks = [&self.curvature.blocks, &self.cross.blocks, &self.expected.blocks];
         let products = blocks.into_iter().flat_map(ProductBlocks::numbers);
@@ -306,8 +309,9 @@ impl Sums {
         let plain = [&mut self.value, &mut self.quadratic].into_iter().chain(self.mean_score.iter_mut());
         let blocks = [&mut self.curvature.blocks, &mut self.cross.blocks, &mut self.expected.blocks];
         let products = blocks.into_iter().flat_map(ProductBlocks::elements_mut);
-        let places =
-            plain.chain(matrices.into_iter().chain(group_derivatives).flat_map(|matrix| matrix.iter_mut())).chain(products);
+        let places = plain
+            .chain(matrices.into_iter().chain(group_derivatives).flat_map(|matrix| matrix.iter_mut()))
+            .chain(products);
         let mut count = 0;
         places.zip(numbers).for_each(|(place, number)| {
             *place = *number;

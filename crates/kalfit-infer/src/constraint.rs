@@ -105,8 +105,9 @@ fn of_mean(
     let own = direction.dot(&(&local.mean_information * &direction));
     let mean = &local.mean_information * &direction;
     let sigma = local.cross.transpose() * &direction;
-    let lost = lost(state, law, (&mean, &sigma), &|mixed| mixed.columns(0, direction.len()) * &direction);
-    let test = score_test(score, own, own - lost, false);
+    let lost_information =
+        lost_information(state, law, (&mean, &sigma), &|mixed| mixed.columns(0, direction.len()) * &direction);
+    let test = score_test(score, own, own - lost_information, false);
     Sensitivity { element: Element::Mean(i), value, sensitivity: score, ..test }
 }
 
@@ -120,11 +121,11 @@ fn of_covariance(
     let scale = &state.problem.classes.frame.scale;
     let unit = (scale[i] * scale[j]).recip();
     let local = &state.newton_iterate.local;
-    let places = if i == j { 1.0 } else { 2.0 };
+    let multiplicity = if i == j { 1.0 } else { 2.0 };
     let score = unit
         * match held {
             HeldElement::Multiplier(multiplier) => multiplier,
-            HeldElement::Form => places * local.score[(i, j)],
+            HeldElement::Form => multiplicity * local.score[(i, j)],
         };
     let k = state.problem.covariance.elements.index(i, j);
     let mean: DVector<f64> = local.cross.column(k) * unit;
@@ -132,12 +133,12 @@ fn of_covariance(
     let own = local.information[(k, k)] * unit * unit;
     let value = estimate.covariance[(i, j)];
     let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
-    let alone = i == j || !(zero(i) || zero(j)); // a covariance cannot be freed while one of its variances is zero
+    let can_be_freed = i == j || !(zero(i) || zero(j)); // a covariance cannot be freed while one of its variances is zero
     let one_sided = i == j && value == 0.0;
     let column = local.mean_score.len() + k;
-    let lost = lost(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
-    let test = score_test(score, own, own - lost, one_sided);
-    let test = if alone && !matches!(state.problem.covariance.form_of(i), CoordinateForm::Fixed(_)) {
+    let lost_information = lost_information(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
+    let test = score_test(score, own, own - lost_information, one_sided);
+    let test = if can_be_freed && !matches!(state.problem.covariance.form_of(i), CoordinateForm::Fixed(_)) {
         test
     } else {
         without_test(score)
@@ -148,7 +149,7 @@ fn of_covariance(
 /// I_ez I_zz⁻¹ I_ze: information on an element that the free coordinates absorb as they adapt, those of α included
 /// where the joint information is known. `mean` and `sigma` are the element's cross information with mean coordinates
 /// and elements of Σ; `of_alpha` extracts its cross information with α.
-fn lost(
+fn lost_information(
     state: &FinalState,
     law: &AsymptoticLaw<'_>,
     (mean, sigma): (&DVector<f64>, &DVector<f64>),
@@ -159,9 +160,9 @@ fn lost(
     match state.joint.as_ref().and_then(|joint| joint.mixed.as_ref()) {
         None => along.dot(&(law.coordinates() * &along)),
         Some(Mixed { covariance, information }) => {
-            let beside = of_alpha(information);
-            let all = along.iter().chain(beside.iter()).copied();
-            let cross = DVector::from_iterator(along.len() + beside.len(), all);
+            let cross_alpha = of_alpha(information);
+            let all = along.iter().chain(cross_alpha.iter()).copied();
+            let cross = DVector::from_iterator(along.len() + cross_alpha.len(), all);
             cross.dot(&(covariance * &cross))
         }
     }

@@ -30,11 +30,11 @@ pub struct Deletion {
 }
 
 /// Most Newton steps of one deletion before a full search takes over.
-const STEPS: usize = 12;
+const MAX_NEWTON_STEPS: usize = 12;
 
 /// The fit without each test, where tests stand in no groups, in the order of the reductions. An entry is `None` where
 /// the other tests have no certified optimum, and for the only test; the whole is `None` once `progress` stops.
-pub(super) fn alone(
+pub(super) fn ungrouped(
     estimate: &Estimate,
     reductions: &Reductions,
     progress: &SharedProgress<'_>,
@@ -42,11 +42,11 @@ pub(super) fn alone(
     if reductions.len() < 2 {
         return Some(vec![None; reductions.len()]);
     }
-    let all = &All::of(estimate);
+    let all = &AllTests::of(estimate);
     let without = |j: usize| {
-        let others = match climbed(estimate, all, (reductions, j)) {
+        let others = match climb_without(estimate, all, (reductions, j)) {
             Some(others) => others,
-            None => Others { point: searched(estimate, reductions, &[j])?.0, log_likelihood: None },
+            None => OtherTests { point: search_without(estimate, reductions, &[j])?.0, log_likelihood: None },
         };
         Some(deletion(estimate, all, (reductions, j), &others))
     };
@@ -64,22 +64,22 @@ pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
 }
 
 /// Sums over all tests at the estimate, before the term of the restricted likelihood.
-struct All {
+struct AllTests {
     sums: Sums,
     /// ℓ at the estimate.
     log_likelihood: f64,
 }
 
-impl All {
-    fn of(estimate: &Estimate) -> All {
-        let (problem, place) = (&estimate.state.problem, &estimate.state.newton_iterate);
-        let sums = problem.unrestricted(&place.point, Order::Second, place.near());
-        All { log_likelihood: sums.value, sums }
+impl AllTests {
+    fn of(estimate: &Estimate) -> AllTests {
+        let (problem, iterate) = (&estimate.state.problem, &estimate.state.newton_iterate);
+        let sums = problem.unrestricted(&iterate.point, Order::Second, iterate.near());
+        AllTests { log_likelihood: sums.value, sums }
     }
 }
 
 /// The optimum of the other tests.
-struct Others {
+struct OtherTests {
     point: Point,
     /// ℓ of the other tests at `point`, where it is known.
     log_likelihood: Option<f64>,
@@ -112,7 +112,7 @@ impl Objective for Without<'_> {
 }
 
 /// Newton steps from the optimum of all tests; `None` where they do not end certified.
-fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)) -> Option<Others> {
+fn climb_without(estimate: &Estimate, all: &AllTests, (reductions, j): (&Reductions, usize)) -> Option<OtherTests> {
     let state = &estimate.state;
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
     let objective = Without { problem, test: problem.classes.single(reductions, j) };
@@ -121,15 +121,19 @@ fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)
     }
     let local = objective.from(all.sums.clone(), &state.newton_iterate.point, state.newton_iterate.near())?;
     let start = NewtonIterate::at(local, objective.mean_jacobian(), map, state.newton_iterate.point.clone())?;
-    let limits = ClimbLimits { tolerance: state.settings.tolerance, steps: STEPS };
-    let (place, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
-    let log_likelihood = (estimate.criterion == Criterion::Ml).then_some(place.local.value);
-    (stop == Stop::Certified).then_some(Others { point: place.point, log_likelihood })
+    let limits = ClimbLimits { tolerance: state.settings.tolerance, steps: MAX_NEWTON_STEPS };
+    let (iterate, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
+    let log_likelihood = (estimate.criterion == Criterion::Ml).then_some(iterate.local.value);
+    (stop == Stop::Certified).then_some(OtherTests { point: iterate.point, log_likelihood })
 }
 
 /// A search without some tests, from the optimum of all: its optimum in the coordinates of the full fit, and the
 /// reductions of the remaining tests.
-pub(super) fn searched(estimate: &Estimate, reductions: &Reductions, removed: &[usize]) -> Option<(Point, Reductions)> {
+pub(super) fn search_without(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    removed: &[usize],
+) -> Option<(Point, Reductions)> {
     let kept: Vec<usize> = (0..reductions.len()).filter(|j| !removed.contains(j)).collect();
     if kept.is_empty() {
         return None;
@@ -141,7 +145,12 @@ pub(super) fn searched(estimate: &Estimate, reductions: &Reductions, removed: &[
     (found.stop == Stop::Certified).then(|| (point(), others))
 }
 
-fn deletion(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize), others: &Others) -> Deletion {
+fn deletion(
+    estimate: &Estimate,
+    all: &AllTests,
+    (reductions, j): (&Reductions, usize),
+    others: &OtherTests,
+) -> Deletion {
     let (problem, point) = (&estimate.state.problem, &others.point);
     let (log_density, distance) = distance(problem, point, reductions, j);
     let there = match others.log_likelihood {

@@ -3,9 +3,9 @@
 use nalgebra::{DMatrix, DVector};
 
 /// Eigenvalues of an information, scaled to unit diagonal, below this are treated as zero.
-pub(crate) const NONE: f64 = 1e-10;
+pub(crate) const ZERO_EIGENVALUE: f64 = 1e-10;
 /// An element whose weight is below this fraction of the largest, in natural sizes, is not part of a direction.
-const PART: f64 = 1e-6;
+const MIN_WEIGHT: f64 = 1e-6;
 
 /// The quantity that a direction belongs to: μ or Σ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +53,7 @@ pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
 /// Converts a direction from natural sizes to the user's units; `units` has the natural size of each element in the
 /// user's units. Entries that take no part become zero, the length is one, the largest entry positive.
 pub(crate) fn in_units<'u>(natural: &DVector<f64>, units: impl Iterator<Item = &'u f64>) -> Vec<f64> {
-    let least = PART * natural.amax();
+    let least = MIN_WEIGHT * natural.amax();
     let kept = natural.iter().zip(units).map(|(x, unit)| if x.abs() > least { x * unit } else { 0.0 });
     let mut direction: Vec<f64> = kept.collect();
     let largest = direction.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });

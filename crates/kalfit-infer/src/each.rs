@@ -32,7 +32,7 @@ pub fn posteriors_at(
     reductions: &Reductions,
 ) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
     levels::posteriors(problem, point, reductions)
-        .unwrap_or_else(|| (posterior::alone(problem, point, reductions), Vec::new()))
+        .unwrap_or_else(|| (posterior::ungrouped(problem, point, reductions), Vec::new()))
 }
 
 /// The fit without each test, in the order of the reductions. An entry is `None` where the other tests have no
@@ -50,6 +50,6 @@ pub fn deletions_while(
     let evidence = estimate.state.evidence(reductions);
     match estimate.grouping() {
         Some(_) => levels::deletions(estimate, &evidence, progress).map(|found| found.0),
-        None => deletion::alone(estimate, &evidence, progress),
+        None => deletion::ungrouped(estimate, &evidence, progress),
     }
 }

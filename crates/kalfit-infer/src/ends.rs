@@ -5,11 +5,11 @@ use crate::held::Held;
 use crate::progress::SharedProgress;
 
 /// Most evaluations of the profile for one end.
-const TRIES: usize = 30;
+const MAX_EVALUATIONS: usize = 30;
 /// Number of evaluations after which every second one halves the bracket: where branches change, slopes mislead.
-const SURELY: usize = 8;
+const BISECT_AFTER: usize = 8;
 /// Where the profile jumps, the jump is located to this fraction of its distance from the estimate.
-const JUMP: f64 = 1e-3;
+const JUMP_TOLERANCE: f64 = 1e-3;
 
 /// Finds maxima with one quantity held.
 pub(crate) trait Holds: Sync {
@@ -69,12 +69,12 @@ impl<H: Holds> Profile<'_, '_, H> {
         if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12 * step.abs()) {
             return limit;
         }
-        self.progress.seeks(&self.name, sign > 0.0);
+        self.progress.report_end(&self.name, sign > 0.0);
         let mut near = start.clone();
         // `is_unlikely`: ζ at `above` exceeds the quantile, as opposed to no certified maximum there
         let (mut below, mut above, mut is_unlikely) = (self.centre, f64::INFINITY * sign, false);
         let mut x = self.inside(self.centre + step, self.centre, limit, sign);
-        for tries in 1..=TRIES {
+        for tries in 1..=MAX_EVALUATIONS {
             if self.progress.stops() {
                 return None;
             }
@@ -101,13 +101,13 @@ impl<H: Holds> Profile<'_, '_, H> {
             } else {
                 (above, is_unlikely) = (x, true);
             }
-            x = match above.is_finite() && tries > SURELY && tries.is_multiple_of(2) {
+            x = match above.is_finite() && tries > BISECT_AFTER && tries.is_multiple_of(2) {
                 true => 0.5 * (below + above),
                 false => self.next(x, zeta, slope, (below, above), step),
             };
             x = self.inside(x, below, limit, sign);
         }
-        let jumps = is_unlikely && (above - below).abs() <= JUMP * (above - self.centre).abs();
+        let jumps = is_unlikely && (above - below).abs() <= JUMP_TOLERANCE * (above - self.centre).abs();
         jumps.then_some(0.5 * (below + above))
     }
 

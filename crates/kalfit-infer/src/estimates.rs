@@ -20,9 +20,9 @@ pub struct EstimateCovariance {
 }
 
 /// Number of estimates up to which their covariance is reported.
-const MOST: usize = 200;
+const MAX_ESTIMATES: usize = 200;
 /// A quantity whose derivatives, in η, are all at most this is fixed.
-const STILL: f64 = 1e-12;
+const FIXED_DERIVATIVE: f64 = 1e-12;
 
 impl AsymptoticLaw<'_> {
     /// Covariance of all estimates; `None` where there are very many. `is_open`: whether the data do not determine one.
@@ -51,10 +51,10 @@ impl AsymptoticLaw<'_> {
             let mut derivative = DVector::zeros(coordinates + free.len());
             by_row.column(row).iter().for_each(|&(c, x)| derivative[c] = x);
             (0..free.len()).for_each(|c| derivative[coordinates + c] = of_value(c));
-            if derivative.amax() > STILL {
+            if derivative.amax() > FIXED_DERIVATIVE {
                 all.push((quantity, derivative * unit));
             }
-            if all.len() > MOST {
+            if all.len() > MAX_ESTIMATES {
                 return None;
             }
         }
@@ -63,7 +63,7 @@ impl AsymptoticLaw<'_> {
             derivative[coordinates + c] = slope;
             all.push((Estimated::Value(slot), derivative));
         }
-        if all.len() > MOST {
+        if all.len() > MAX_ESTIMATES {
             return None;
         }
         // covariance of a mean with any other number: with the generalised least squares law, the mean is correlated

@@ -33,9 +33,9 @@ impl HeldMaximum {
 /// Precision of a held maximum, in standard errors: ℓ is then right to half the square of this.
 const TOLERANCE: f64 = 1e-7;
 /// Most Newton steps of one climb.
-const STEPS: usize = 40;
+const MAX_CLIMB_STEPS: usize = 40;
 /// Most fixed-point iterations of the linearised constraint on a correlation.
-const TURNS: usize = 30;
+const MAX_CORRELATION_ITERATIONS: usize = 30;
 
 /// ℓ with the free mean coordinates restricted to the span of `directions`.
 struct RestrictedMean<'a> {
@@ -69,7 +69,7 @@ pub(crate) struct Holder<'a> {
 impl<'a> Holder<'a> {
     pub(crate) fn new(state: &'a FinalState) -> Holder<'a> {
         let tolerance = state.settings.tolerance.max(TOLERANCE);
-        Holder { state, law: AsymptoticLaw::new(state), limits: ClimbLimits { tolerance, steps: STEPS } }
+        Holder { state, law: AsymptoticLaw::new(state), limits: ClimbLimits { tolerance, steps: MAX_CLIMB_STEPS } }
     }
 
     /// The maximum with `what` held at `value`, from a point nearby. `None` where no certified one is found.
@@ -123,17 +123,17 @@ impl<'a> Holder<'a> {
             return None;
         }
         let (values, vectors) = symmetric::eigen(&(DMatrix::identity(n, n) - row * row.transpose() / size));
-        let kept: Vec<usize> = (0..n).filter(|&k| values[k] > 0.5).collect();
-        let directions = vectors.select_columns(&kept);
+        let complement: Vec<usize> = (0..n).filter(|&k| values[k] > 0.5).collect();
+        let directions = vectors.select_columns(&complement);
         let jacobian = problem.mean.jacobian() * &directions;
         let along = self.law.coordinates().view((0, 0), (n, n)) * row;
         let along = if row.dot(&along) > 0.0 { along } else { row.clone() };
         let moved = problem.move_mean(near, (&along * (shift / row.dot(&along))).as_slice());
         let objective = RestrictedMean { problem, directions, jacobian };
-        let place = self.climb(&objective, &problem.covariance, moved)?;
-        let score = problem.mean.jacobian().transpose() * &place.local.mean_score;
+        let iterate = self.climb(&objective, &problem.covariance, moved)?;
+        let score = problem.mean.jacobian().transpose() * &iterate.local.mean_score;
         let slope = score.dot(row) / size / unit;
-        Some(Held { value: place.local.value, slope, near: place })
+        Some(Held { value: iterate.local.value, slope, near: iterate })
     }
 
     /// The maximum with Σ weight σ_pair over `terms` held at a value, in η.
@@ -141,10 +141,10 @@ impl<'a> Holder<'a> {
         let problem = &*self.state.problem;
         let mut map = problem.covariance.clone();
         map.constraints.push(Constraint { terms, value });
-        let root = map.onto(&begin(&problem.covariance, &map.constraints, near))?;
-        let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
-        let slope = *place.tangent.multipliers.last().expect("the constraint has a multiplier");
-        Some(Held { value: place.local.value, slope, near: place })
+        let root = map.onto(&start_root(&problem.covariance, &map.constraints, near))?;
+        let iterate = self.climb(problem, &map, Point { root, ..near.clone() })?;
+        let slope = *iterate.tangent.multipliers.last().expect("the constraint has a multiplier");
+        Some(Held { value: iterate.local.value, slope, near: iterate })
     }
 
     /// Holds σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: at that t the two constraints
@@ -157,7 +157,7 @@ impl<'a> Holder<'a> {
             (t.is_finite() && t > 0.0).then_some(t)
         };
         let mut t = ratio(&near)?;
-        for _ in 0..TURNS {
+        for _ in 0..MAX_CORRELATION_ITERATIONS {
             let terms = vec![(i, j, 2.0), (i, i, -rho * t), (j, j, -rho / t)];
             let found = self.covariance(terms, 0.0, &near)?;
             let next = ratio(&found.near.point)?;
@@ -173,14 +173,14 @@ impl<'a> Holder<'a> {
     fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<NewtonIterate> {
         let start = NewtonIterate::new(objective, map, start, self.state.newton_iterate.near())?;
         let tests = self.state.problem.classes.tests as f64;
-        let (place, stop) = climb(objective, map, tests, start, self.limits);
-        (stop == Stop::Certified).then_some(place)
+        let (iterate, stop) = climb(objective, map, tests, start, self.limits);
+        (stop == Stop::Certified).then_some(iterate)
     }
 }
 
 /// A root F that nearly meets the last constraint: where that holds a variance, its row and column of Σ are scaled to
 /// the value, which keeps the correlations. A variance of zero is set to the value, since no step along F leaves zero.
-fn begin(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
+fn start_root(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
     let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
     let &[(i, k, _)] = &terms[..] else { return near.root.clone() };
     if i != k || !matches!(map.form_of(i), CoordinateForm::Factor(_)) {

@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::direction::{Direction, NONE, Quantity, in_units, simplest};
+use crate::direction::{Direction, Quantity, ZERO_EIGENVALUE, in_units, simplest};
 use crate::law::AsymptoticLaw;
 use crate::observability::{Observability, observability};
 use crate::phases::{PhaseObservability, phases};
@@ -15,13 +15,14 @@ use kalfit_algebra::regular::Regular;
 use kalfit_algebra::sparse::Sparse;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{
-    Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, natural_length, natural_sizes,
+    Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, natural_length,
+    natural_sizes,
 };
 use kalfit_filter::reduce::Reductions;
 
 /// An element whose weight is below this fraction of the largest is not part of a direction that was found by
 /// differences.
-const FAINT: f64 = 1e-3;
+const MIN_DIFFERENCED_WEIGHT: f64 = 1e-3;
 
 /// What the data do not identify and why, and which tests inform each state.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,7 +64,7 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
 /// Whether two directions are the same but for rounding.
 fn is_same(one: &Direction, other: &Direction) -> bool {
     let mut pairs = one.direction.iter().zip(&other.direction);
-    one.quantity == other.quantity && pairs.all(|(a, b)| (a - b).abs() < FAINT)
+    one.quantity == other.quantity && pairs.all(|(a, b)| (a - b).abs() < MIN_DIFFERENCED_WEIGHT)
 }
 
 /// How mean and covariance move along directions of dynamic parameters in which ℓ does not change.
@@ -77,7 +78,7 @@ fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
         let mut moved = law.jacobian().times(&flat.inner);
         let first = moved.len() - elements.len();
         moved.rows_mut(first, elements.len()).zip_apply(&flat.moves, |own, by_matrices| *own += by_matrices);
-        let least = FAINT * moved.amax();
+        let least = MIN_DIFFERENCED_WEIGHT * moved.amax();
         moved.apply(|weight| *weight = if weight.abs() > least { *weight } else { 0.0 });
         let parts = [(Quantity::Mean, 0, &means[..]), (Quantity::Covariance, first, &elements[..])].map(
             |(quantity, at, units)| {
@@ -86,7 +87,7 @@ fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
                     reason: Reason::WithParameters { parameters: flat.parameters.clone() },
                     tests: Vec::new(),
                 };
-                (own.amax() > 0.0).then(|| (out(quantity, &own, units), explanation))
+                (own.amax() > 0.0).then(|| (to_user_units(quantity, &own, units), explanation))
             },
         );
         parts.into_iter().flatten()
@@ -152,12 +153,12 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
     // in η the average test has unit information on each element, so 1 is the natural size
     null_space(&|| information.clone(), &vec![1.0; basis.ncols()], pooled.diagonal().amax())
         .into_iter()
-        .map(|v| out(Quantity::Mean, &(basis * v), &units))
+        .map(|v| to_user_units(Quantity::Mean, &(basis * v), &units))
         .collect()
 }
 
 /// Converts a direction in η to the user's units.
-fn out(quantity: Quantity, direction: &DVector<f64>, units: &[f64]) -> Direction {
+fn to_user_units(quantity: Quantity, direction: &DVector<f64>, units: &[f64]) -> Direction {
     Direction { quantity, direction: in_units(direction, units.iter()) }
 }
 
@@ -171,7 +172,7 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
     let own = free.columns().map(|c| natural_length(c.iter().map(|&(row, x)| (x, sizes[row])))).collect::<Vec<_>>();
     null_space(&information, &own, 0.0)
         .into_iter()
-        .map(|v| out(Quantity::Covariance, &free.times(&v), &units))
+        .map(|v| to_user_units(Quantity::Covariance, &free.times(&v), &units))
         .collect()
 }
 
@@ -203,7 +204,7 @@ fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: 
         let mut scaled = information();
         rescale(&mut scaled);
         let (values, vectors) = symmetric::eigen(&scaled);
-        vectors.select_columns(&(0..n).filter(|&k| values[k] < NONE).collect::<Vec<_>>())
+        vectors.select_columns(&(0..n).filter(|&k| values[k] < ZERO_EIGENVALUE).collect::<Vec<_>>())
     };
     let simple = simplest(flat);
     simple.column_iter().map(|v| v.component_mul(&scale)).collect()

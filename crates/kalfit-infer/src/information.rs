@@ -14,9 +14,9 @@ use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, FinalState, Phase
 use kalfit_filter::reduce::Reductions;
 
 /// A squared correlation that differs from one by at most this is one.
-const END: f64 = 1e-6;
+const CORRELATION_ONE_TOLERANCE: f64 = 1e-6;
 /// Eigenvalues of a correlation matrix up to this are treated as zero.
-const ROUNDING: f64 = 1e-11;
+const SINGULAR_EIGENVALUE: f64 = 1e-11;
 
 /// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, a variance of zero or a
 /// correlation of one. Where Σ is singular, standard errors are those among matrices of its rank.
@@ -63,7 +63,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool>
             .get(i, j)
             .is_some_and(|k| directions[k] > 1e-12 && !takes_part(unidentified, Quantity::Covariance, k))
     };
-    let bends = |i: usize, j: usize| {
+    let moves_correlation = |i: usize, j: usize| {
         matches!(map.form_of(i), CoordinateForm::Factor(_))
             && i != j
             && (moves(i, j)
@@ -77,7 +77,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool>
         coefficients: vec![true; estimate.coefficients.len()],
         std_dev: (0..p).map(|i| moves(i, i)).collect(),
         covariance: matrix(&moves),
-        correlation: matrix(&bends),
+        correlation: matrix(&moves_correlation),
     }
 }
 
@@ -152,7 +152,7 @@ fn uncertainty_by(
     // on the face a correlation of 1 does not move: its standard error would be rounding
     let at_end = |i: usize, j: usize| {
         let size = sigma[(i, i)] * sigma[(j, j)];
-        on_boundary(i) && on_boundary(j) && sigma[(i, j)].powi(2) >= (1.0 - END) * size
+        on_boundary(i) && on_boundary(j) && sigma[(i, j)].powi(2) >= (1.0 - CORRELATION_ONE_TOLERANCE) * size
     };
     let has_mean = |row: usize| !takes_part(unidentified, Quantity::Mean, row);
     let mut errors = Quantities::all(None, p, state.problem.mean.regressors.len());
@@ -198,7 +198,7 @@ fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
         }
     };
     let blocks: Vec<Vec<usize>> = map.parts.iter().flat_map(of_part).collect();
-    let rank = |block: &[usize]| block.len() - null_space(root, block, ROUNDING).ncols();
+    let rank = |block: &[usize]| block.len() - null_space(root, block, SINGULAR_EIGENVALUE).ncols();
     blocks
         .into_iter()
         .map(|states| Boundary {

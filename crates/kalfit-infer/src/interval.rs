@@ -90,7 +90,7 @@ pub(super) fn profile(
     }
     let wanted = profiled(estimate, free);
     let holder = Holder::new(&estimate.state);
-    found.follow((estimate, uncertainty), &wanted, (&holder, &estimate.state.newton_iterate.point), progress);
+    found.compute_profiles((estimate, uncertainty), &wanted, (&holder, &estimate.state.newton_iterate.point), progress);
     (!progress.stops()).then_some(found)
 }
 
@@ -105,7 +105,7 @@ pub(crate) fn profiled(estimate: &Estimate, free: &Quantities<bool>) -> Vec<Hold
 
 impl Intervals {
     /// Computes and stores the profile intervals of the quantities in `wanted`; `start` is the maximum.
-    pub(crate) fn follow<H: Holds<What = Holdable>>(
+    pub(crate) fn compute_profiles<H: Holds<What = Holdable>>(
         &mut self,
         (estimate, uncertainty): (&Estimate, &Uncertainty),
         wanted: &[Holdable],
@@ -116,7 +116,7 @@ impl Intervals {
             .par_iter()
             .map(|&what| {
                 let centre = value(estimate, what)?;
-                let step = uncertainty.errors.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
+                let step = uncertainty.errors.of(what).map_or_else(|| first_step(estimate, what), |e| QUANTILE * e);
                 let maximum = estimate.state.newton_iterate.local.value;
                 let (name, limits) = (progress.name(what), limits(what));
                 let profile = Profile { holder, what, name, centre, maximum, quantile: QUANTILE, limits, progress };
@@ -144,7 +144,7 @@ pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
 }
 
 /// First step for a quantity without a standard error, from Σ_j W_j alone.
-fn guess(estimate: &Estimate, what: Holdable) -> f64 {
+fn first_step(estimate: &Estimate, what: Holdable) -> f64 {
     let state = &estimate.state;
     let (scale, weight) = (&state.problem.classes.frame.scale, &state.newton_iterate.local.weight);
     let tests = state.problem.classes.tests as f64;

@@ -7,9 +7,9 @@ use kalfit_model::Label;
 use kalfit_model::{Alpha, Level, PhasedModel};
 
 /// Step of a difference by a free value, as a fraction of its standard error.
-const PART: f64 = 1e-3;
+const STEP_PER_STD_ERROR: f64 = 1e-3;
 /// Largest step of a difference by a free value, as a fraction of the value.
-pub const MOST: f64 = 1e-3;
+pub const MAX_RELATIVE_STEP: f64 = 1e-3;
 
 /// One number that was estimated, as a model names it.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +31,8 @@ impl Estimand {
     pub fn sides(&self, model: &PhasedModel, alpha: &Alpha, error: Option<f64>) -> Option<([Alpha; 2], f64)> {
         let value = *self.value(model, &mut alpha.clone())?;
         let size = if value == 0.0 { 1.0 } else { value.abs() };
-        let step = error.map_or(MOST * size, |error| (PART * error).min(MOST * size));
+        let step =
+            error.map_or(MAX_RELATIVE_STEP * size, |error| (STEP_PER_STD_ERROR * error).min(MAX_RELATIVE_STEP * size));
         let sides = [value - step, value + step];
         let moved = |side: f64| {
             let mut alpha = alpha.clone();

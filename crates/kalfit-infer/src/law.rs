@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimated::Estimated;
 use crate::holdable::Holdable;
-use crate::std_errors::{PART, StdErrors};
+use crate::std_errors::{MAX_OPEN_SHARE, StdErrors};
 use kalfit_algebra::regular::Regular;
 use kalfit_algebra::sparse::Sparse;
 use kalfit_algebra::symmetric;
@@ -13,7 +13,7 @@ use kalfit_estimate::{FinalState, JointLaw, PhaseForm};
 use kalfit_filter::reduce::Reductions;
 
 /// Eigenvalues of the information, scaled to unit diagonal, below this are treated as zero.
-const FLAT: f64 = 1e-10;
+const MIN_SCALED_EIGENVALUE: f64 = 1e-10;
 
 /// The asymptotic normal law of the free coordinates, transformed to mean coordinates and elements of Σ.
 pub(crate) struct AsymptoticLaw<'a> {
@@ -219,7 +219,7 @@ impl WithParameters {
 
     /// Whether a quantity with these weights is independent of all values of α that the data do not determine.
     fn is_known(&self, weights: &DVector<f64>) -> bool {
-        self.open.transposed_times(weights).amax() <= PART * weights.amax()
+        self.open.transposed_times(weights).amax() <= MAX_OPEN_SHARE * weights.amax()
     }
 }
 
@@ -228,8 +228,8 @@ fn follows(joint: &JointLaw, mean: usize, coordinates: usize) -> DMatrix<f64> {
     let free = joint.slots.len();
     let of_values = joint.covariance.view((coordinates, coordinates), (free, free)).into_owned();
     let mut all = DMatrix::zeros(coordinates, free);
-    let beside = joint.covariance.view((0, coordinates), (mean, free)) * inverse(&of_values);
-    all.view_mut((0, 0), (mean, free)).copy_from(&beside);
+    let mean_slope = joint.covariance.view((0, coordinates), (mean, free)) * inverse(&of_values);
+    all.view_mut((0, 0), (mean, free)).copy_from(&mean_slope);
     all
 }
 
@@ -265,7 +265,10 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
     let by_eigenvectors = || {
         let (values, vectors) = symmetric::eigen(&scaled());
-        symmetric::by_eigenvectors(&vectors, values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 }))
+        symmetric::by_eigenvectors(
+            &vectors,
+            values.iter().map(|&v| if v > MIN_SCALED_EIGENVALUE { v.recip() } else { 0.0 }),
+        )
     };
     let mut inverse = Regular::within(scaled()).map_or_else(by_eigenvectors, Regular::into_inverse);
     for (j, mut column) in inverse.column_iter_mut().enumerate() {

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::deletion::{Deletion, searched};
+use crate::deletion::{Deletion, search_without};
 use crate::posterior::distance;
 use crate::posteriors::{Distance, Posteriors};
 use crate::progress::SharedProgress;
@@ -142,7 +142,7 @@ impl GroupedTests<'_> {
     /// The fit without some tests, and its optimum; the `distance` of the result is a placeholder.
     fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
         let problem = self.problem;
-        let (point, others) = searched(estimate, self.evidence, removed)?;
+        let (point, others) = search_without(estimate, self.evidence, removed)?;
         let there = problem.likelihood(&point, Order::First).value;
         let of_others =
             Problem::within(&others, &estimate.state.structure(), problem).ok()?.likelihood(&point, Order::First).value;

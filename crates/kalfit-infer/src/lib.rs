@@ -66,9 +66,9 @@ pub use holdable::Holdable;
 pub use identifiability::directions;
 pub use information::uncertainty_at;
 pub(crate) use interval::{QUANTILE, profiled, quantities, value};
-pub use knowledge::MOST as MOST_OF_A_VALUE;
+pub use knowledge::MAX_RELATIVE_STEP as MOST_OF_A_VALUE;
 pub(crate) use law::AsymptoticLaw;
-pub use observability::counted;
+pub use observability::observability_counts;
 pub use progress::SharedProgress;
 pub(crate) use ratio::replicates;
 
@@ -113,7 +113,7 @@ pub enum DeletionChoice {
 }
 
 /// Number of multiplications up to which the fits without each test count as cheap.
-const CHEAP: f64 = 5e8;
+const CHEAP_MULTIPLICATIONS: f64 = 5e8;
 
 /// Everything inferred from an estimate.
 #[derive(Debug, Clone)]
@@ -185,7 +185,7 @@ pub(crate) fn inferred(
     let each = choices.tests == TestsChoice::Each;
     let wanted = match choices.deletion {
         _ if !each => false,
-        DeletionChoice::Cheap => deletion_work(estimate, reductions.len()) <= CHEAP,
+        DeletionChoice::Cheap => deletion_work(estimate, reductions.len()) <= CHEAP_MULTIPLICATIONS,
         DeletionChoice::All => true,
         DeletionChoice::None => false,
     };

@@ -18,8 +18,8 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::direction::{NONE, in_units};
-use crate::observed::{PART, column_norm, observe};
+use crate::direction::{ZERO_EIGENVALUE, in_units};
+use crate::observed::{MAX_UNINFORMED_PART, column_norm, observe};
 use kalfit_algebra::fold::fold;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, map_forms};
@@ -31,7 +31,7 @@ pub const WEAK: f64 = 30.0;
 /// Number of tests up to which their ids are listed.
 pub const MOST_TESTS: usize = 20;
 /// A column of R whose norm is below this fraction of the largest over the tests is rounding error.
-const TRACE: f64 = 1e-12;
+const MIN_COLUMN_FRACTION: f64 = 1e-12;
 
 /// How well the ensemble determines the estimated states and the mean.
 #[derive(Debug, Clone, PartialEq)]
@@ -115,7 +115,7 @@ pub(crate) fn observability(
     reductions: &Reductions,
 ) -> Observability {
     if problem.classes.remote.is_some() {
-        return afar(problem, weight);
+        return remote_observability(problem, weight);
     }
     let p = problem.classes.dimension();
     let classes = problem.classes.of(reductions);
@@ -143,10 +143,12 @@ pub(crate) fn observability(
 }
 
 /// Observability from remote tests: numbers of tests only, without ids.
-fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
+fn remote_observability(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
     let p = problem.classes.dimension();
-    let counts =
-        problem.remote_counts().filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
+    let counts = problem
+        .remote_counts()
+        .filter(|numbers| numbers.len() == p * (p + 2))
+        .unwrap_or_else(|| vec![0.0; p * (p + 2)]);
     let count = |at: usize| counts[at] as usize;
     let (_, weak) = known_and_weak(problem, weight);
     let state = |i: usize| StateObservability {
@@ -165,7 +167,7 @@ fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
 }
 
 /// A shard's answer to [`Question::Observability`]; `None` where `frame` does not fit its model.
-pub fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
+pub fn observability_counts(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
     let p = frame.centre.len();
     let reductions = summed.reductions.clone();
     let classes = summed.apart(frame)?;
@@ -193,7 +195,7 @@ impl Observability {
 impl<'a> ClassViews<'a> {
     fn new(classes: &'a Classes, reductions: &'a Reductions) -> ClassViews<'a> {
         let (p, count) = (classes.dimension(), classes.len());
-        let first = |class: usize| told(classes, reductions, class);
+        let first = |class: usize| class_factor(classes, reductions, class);
         let mut norms = vec![0.0; count * p];
         norms.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, norms)| {
             let factor = first(class);
@@ -203,7 +205,8 @@ impl<'a> ClassViews<'a> {
         for norms in norms.chunks_exact(p.max(1)) {
             largest.iter_mut().zip(norms).for_each(|(most, norm)| *most = most.max(*norm));
         }
-        let informs: Vec<bool> = norms.iter().enumerate().map(|(at, norm)| *norm > TRACE * largest[at % p]).collect();
+        let informs: Vec<bool> =
+            norms.iter().enumerate().map(|(at, norm)| *norm > MIN_COLUMN_FRACTION * largest[at % p]).collect();
         let mut observes = informs.clone();
         observes.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, observes)| {
             observe(&first(class), &informs[class * p..][..p], observes);
@@ -239,17 +242,17 @@ impl<'a> ClassViews<'a> {
 
     /// Number of tests that inform both of two states, p × p.
     fn together(&self, p: usize) -> Vec<Vec<usize>> {
-        let mut alike: BTreeMap<&[bool], usize> = BTreeMap::new();
-        self.iter().for_each(|design| *alike.entry(design.informs).or_default() += design.tests.len());
+        let mut count_by_pattern: BTreeMap<&[bool], usize> = BTreeMap::new();
+        self.iter().for_each(|design| *count_by_pattern.entry(design.informs).or_default() += design.tests.len());
         let both = |i: usize, k: usize| {
-            alike.iter().filter(|(informs, _)| informs[i] && informs[k]).map(|(_, tests)| tests).sum()
+            count_by_pattern.iter().filter(|(informs, _)| informs[i] && informs[k]).map(|(_, tests)| tests).sum()
         };
         (0..p).map(|i| (0..p).map(|k| both(i, k)).collect()).collect()
     }
 }
 
 /// R of a class, packed by columns; exact measurements of its tests count as rows of information like any other.
-fn told<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<'a, [f64]> {
+fn class_factor<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<'a, [f64]> {
     let first = classes.tests_of(class)[0];
     if reductions.exact(first).is_none() {
         return Cow::Borrowed(reductions.factor(first));
@@ -262,16 +265,16 @@ fn told<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<
 }
 
 /// A direction of the mean in η and its condition index.
-type Weak = (DVector<f64>, f64);
+type ConditionedDirection = (DVector<f64>, f64);
 
 /// A weak direction in the user's units.
-fn out(problem: &Problem, (direction, condition): Weak, leading: Option<Leading>) -> WeakDirection {
+fn out(problem: &Problem, (direction, condition): ConditionedDirection, leading: Option<Leading>) -> WeakDirection {
     WeakDirection { direction: in_units(&direction, problem.classes.frame.scale.iter()), condition, leading }
 }
 
 /// For each element of μ the direction I⁺e_i, `None` unless the element is free and identified; and the weak
 /// directions, all in η.
-fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVector<f64>>>, Vec<Weak>) {
+fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVector<f64>>>, Vec<ConditionedDirection>) {
     let basis = &problem.mean.basis;
     let (p, q) = basis.shape();
     let information = basis.transpose() * weight * basis;
@@ -282,20 +285,22 @@ fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVect
     let scaled = DMatrix::from_fn(q, q, |i, k| scale[i] * information[(i, k)] * scale[k]);
     let (values, vectors) = symmetric::eigen(&scaled);
     let largest = values.last().copied().unwrap_or(0.0);
-    let seen = |k: &usize| values[*k] >= NONE;
+    let seen = |k: &usize| values[*k] >= ZERO_EIGENVALUE;
     let out = |v: DVector<f64>| basis * v.component_mul(&scale);
     let weak = (0..q).filter(seen).map(|k| (k, (largest / values[k]).sqrt())).filter(|(_, index)| *index > WEAK);
     let weak = weak.map(|(k, index)| (out(vectors.column(k).into()), index)).collect();
     let known = |i: usize| {
         let element: DVector<f64> = basis.row(i).transpose().component_mul(&scale);
         let mut solution = DVector::zeros(q);
-        let mut left = element.clone();
+        let mut residual = element.clone();
         for k in (0..q).filter(seen) {
             let along = vectors.column(k).dot(&element);
             solution.axpy(along / values[k], &vectors.column(k), 1.0);
-            left.axpy(-along, &vectors.column(k), 1.0);
+            residual.axpy(-along, &vectors.column(k), 1.0);
         }
-        let identified = basis.row(i).norm() > 0.0 && element.norm() > 0.0 && left.norm() <= PART * element.norm();
+        let identified = basis.row(i).norm() > 0.0
+            && element.norm() > 0.0
+            && residual.norm() <= MAX_UNINFORMED_PART * element.norm();
         identified.then(|| out(solution))
     };
     ((0..p).map(known).collect(), weak)
@@ -365,8 +370,8 @@ impl<'a> Parts<'a> {
 /// Blocks of Σ, in parts without constraints, that too few tests inform for a regular estimate.
 fn shortages(problem: &Problem, designs: &ClassViews<'_>) -> Vec<Shortage> {
     let map = &problem.covariance;
-    let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
-    let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
+    let unconstrained = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
+    let blocks = map.parts.iter().filter(unconstrained).flat_map(|part| match &part.form {
         CoordinateForm::Factor(blocks) => blocks.as_slice(),
         _ => &[],
     });

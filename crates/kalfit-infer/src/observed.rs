@@ -3,12 +3,12 @@
 use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::DMatrix;
 
-use crate::direction::NONE;
+use crate::direction::ZERO_EIGENVALUE;
 use kalfit_algebra::fold::norm;
 use kalfit_algebra::symmetric;
 
 /// A state whose part in the directions without information exceeds this (norm of its entries) is not observed.
-pub(super) const PART: f64 = 1e-6;
+pub(super) const MAX_UNINFORMED_PART: f64 = 1e-6;
 
 /// Norm of column k of R, which is packed by columns.
 pub(super) fn column_norm(factor: &[f64], k: usize) -> f64 {
@@ -23,7 +23,7 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     // The least eigenvalue of J scaled to unit diagonal is at least a third of its determinant, and the determinant
     // at least Π R_kk² of the scaled R: eigenvalues are not needed where this bound shows that none is near zero.
     let determinant: f64 = informed().map(|k| (entry(k, k) / column_norm(factor, k)).powi(2)).product();
-    if determinant > 10.0 * NONE {
+    if determinant > 10.0 * ZERO_EIGENVALUE {
         return;
     }
     let states: Vec<usize> = informed().collect();
@@ -36,8 +36,8 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
     let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
     for (c, &state) in states.iter().enumerate() {
-        let blind = values.iter().enumerate().filter(|(_, v)| **v < NONE).map(|(k, _)| vectors[(c, k)]);
-        observes[state] = blind.fold(0.0, f64::hypot) <= PART;
+        let uninformed = values.iter().enumerate().filter(|(_, v)| **v < ZERO_EIGENVALUE).map(|(k, _)| vectors[(c, k)]);
+        observes[state] = uninformed.fold(0.0, f64::hypot) <= MAX_UNINFORMED_PART;
     }
 }
 
@@ -69,7 +69,7 @@ impl Kernel for WellConditioned<'_> {
                 squares += (self.norms[m] * own) * (self.norms[m] * own);
             }
         }
-        10.0 * NONE * squares < 1.0 // false for NaN
+        10.0 * ZERO_EIGENVALUE * squares < 1.0 // false for NaN
     }
 }
 

@@ -2,13 +2,13 @@
 
 use nalgebra::DMatrix;
 
-use crate::direction::{NONE, in_units, simplest};
+use crate::direction::{ZERO_EIGENVALUE, in_units, simplest};
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{ChainStore, ChainedClass, Problem};
 use kalfit_filter::reduce::Reductions;
 
 /// Number of classes of tests whose information is added before the rank is computed again.
-const CHUNK: usize = 64;
+const CLASSES_PER_RANK_CHECK: usize = 64;
 
 /// Information that a phase adds on the initial states.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,12 +41,14 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
     let mut before = DMatrix::zeros(elements.states(), 0);
     for f in 0..count {
-        let having = chains.iter().filter(|(_, entering)| entering.len() > f);
-        let entering = having.clone().next().map_or(0, |(_, entering)| entering[f]);
-        let having: Vec<&ChainStore> = having.map(|(kept, _)| *kept).collect();
+        let with_phase = chains.iter().filter(|(_, entering)| entering.len() > f);
+        let entering = with_phase.clone().next().map_or(0, |(_, entering)| entering[f]);
+        let with_phase: Vec<&ChainStore> = with_phase.map(|(kept, _)| *kept).collect();
         let states = elements.blocks()[f].end;
-        let so_far = gathered(&having, states, elements.states(), &|chain| chain.information(f + 1, elements.states()));
-        let own = gathered(&having, entering, entering, &|chain| chain.own_information(f));
+        let so_far = summed_information(&with_phase, states, elements.states(), &|chain| {
+            chain.information(f + 1, elements.states())
+        });
+        let own = summed_information(&with_phase, entering, entering, &|chain| chain.own_information(f));
         let range = range(&so_far);
         found.push(PhaseObservability {
             own_rank: rank(&own),
@@ -70,14 +72,14 @@ fn single(problem: &Problem) -> PhaseObservability {
 }
 
 /// Sum of the information of the chains, up to where the rank is as high as it can be.
-fn gathered(
+fn summed_information(
     chains: &[&ChainStore],
     highest: usize,
     size: usize,
     of: &dyn Fn(&ChainedClass) -> DMatrix<f64>,
 ) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(size, size);
-    for chunk in chains.chunks(CHUNK) {
+    for chunk in chains.chunks(CLASSES_PER_RANK_CHECK) {
         chunk.iter().for_each(|chain| sum += of(&chain.chained()));
         if rank(&sum) >= highest {
             break;
@@ -87,12 +89,12 @@ fn gathered(
 }
 
 fn rank(information: &DMatrix<f64>) -> usize {
-    symmetric::scaled_eigen(information).1.iter().filter(|v| **v > NONE).count()
+    symmetric::scaled_eigen(information).1.iter().filter(|v| **v > ZERO_EIGENVALUE).count()
 }
 
 /// An orthonormal basis of the range.
 fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
-    symmetric::range(information, |value| value > NONE)
+    symmetric::range(information, |value| value > ZERO_EIGENVALUE)
 }
 
 /// Directions of a range that are not in the range before, as weights in the user's units.
@@ -101,8 +103,8 @@ fn entered(range: &DMatrix<f64>, before: &DMatrix<f64>, scale: &[f64]) -> Vec<Ve
     if new == 0 {
         return Vec::new();
     }
-    let left = range - before * (before.transpose() * range);
-    let decomposed = left.svd(true, false);
+    let remainder = range - before * (before.transpose() * range);
+    let decomposed = remainder.svd(true, false);
     let vectors = decomposed.u.expect("asked for");
     let mut order: Vec<usize> = (0..vectors.ncols()).collect();
     order.sort_by(|&a, &b| decomposed.singular_values[b].total_cmp(&decomposed.singular_values[a]));

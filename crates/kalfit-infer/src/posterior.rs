@@ -12,17 +12,17 @@ use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::unpack;
 
 /// Number of tests that one thread takes at a time.
-const CHUNK: usize = 64;
+const TESTS_PER_CHUNK: usize = 64;
 
 /// Posteriors of all tests, where they stand in no groups, at a point, in the order of the reductions.
-pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
+pub(super) fn ungrouped(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
     let classes = problem.classes.of(reductions);
     let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
     let found: Vec<NumberedPosteriors> = if classes.has_class_per_test() {
         of(&classes)
     } else {
         let all: Vec<usize> = (0..reductions.len()).collect();
-        all.par_chunks(CHUNK).flat_map_iter(|tests| of(&classes.each(reductions, tests))).collect()
+        all.par_chunks(TESTS_PER_CHUNK).flat_map_iter(|tests| of(&classes.each(reductions, tests))).collect()
     };
     Posteriors::ordered(sizes(problem), &found)
 }
@@ -34,17 +34,17 @@ fn of_classes(
     reductions: &Reductions,
 ) -> Vec<NumberedPosteriors> {
     let (sigma, sizes) = (point.covariance(), sizes(problem));
-    let look = PosteriorLook { problem, point, sigma: &sigma };
-    let none = || (NumberedPosteriors::new(&sizes), PosteriorRoom::default());
-    let told = |(found, room): &mut (NumberedPosteriors, PosteriorRoom),
+    let evaluator = PosteriorEvaluator { problem, point, sigma: &sigma };
+    let none = || (NumberedPosteriors::new(&sizes), PosteriorBuffers::default());
+    let told = |(found, buffers): &mut (NumberedPosteriors, PosteriorBuffers),
                 k: usize,
                 class: ClassRef<'_>,
                 terms: &ClassTerms<'_>| {
         let test = classes.tests_of(k)[0];
-        look.mean(class, terms, &mut room.mean);
-        look.covariances(class, terms, room);
+        evaluator.mean(class, terms, &mut buffers.mean);
+        evaluator.covariances(class, terms, buffers);
         let own = (terms.value(class), Distance::of(terms, class, reductions.get(test)));
-        found.of(test).push(own, &room.mean, &room.covariances);
+        found.of(test).push(own, &buffers.mean, &buffers.covariances);
     };
     let found = map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &none, &told);
     found.into_iter().map(|(found, _)| found).collect()
@@ -57,19 +57,19 @@ fn sizes(problem: &Problem) -> Vec<usize> {
 
 /// Buffers for the posterior of one test.
 #[derive(Debug, Default)]
-struct PosteriorRoom {
+struct PosteriorBuffers {
     mean: Vec<f64>,
     covariances: Vec<f64>,
 }
 
 /// The point at which posteriors are computed.
-struct PosteriorLook<'a> {
+struct PosteriorEvaluator<'a> {
     problem: &'a Problem,
     point: &'a Point,
     sigma: &'a DMatrix<f64>,
 }
 
-impl PosteriorLook<'_> {
+impl PosteriorEvaluator<'_> {
     /// Writes E[ξ | z] = μ_j + Σr, in the user's units.
     fn mean(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, mean: &mut Vec<f64>) {
         self.point.put_mean(class, &self.problem.mean.regressors, mean);
@@ -80,17 +80,17 @@ impl PosteriorLook<'_> {
     }
 
     /// Var[ξ_i | z] of each phase, in the user's units; Σ for phases that a test stored phase by phase does not have.
-    fn covariances(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, room: &mut PosteriorRoom) {
+    fn covariances(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, buffers: &mut PosteriorBuffers) {
         let scale = &self.problem.classes.frame.scale;
         let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &self.point.root));
         let all = whole.as_ref().unwrap_or(self.sigma);
-        room.covariances.clear();
+        buffers.covariances.clear();
         for (f, states) in self.problem.covariance.elements.blocks().iter().enumerate() {
-            let (start, before, size) = (states.start, room.covariances.len(), states.len());
+            let (start, before, size) = (states.start, buffers.covariances.len(), states.len());
             let own = terms.covariances.get(f).filter(|_| whole.is_none());
             let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
-            room.covariances.resize(before + size * size, 0.0);
-            symmetric::write_scaled(&scale[states.clone()], entry, &mut room.covariances[before..]);
+            buffers.covariances.resize(before + size * size, 0.0);
+            symmetric::write_scaled(&scale[states.clone()], entry, &mut buffers.covariances[before..]);
         }
     }
 }
@@ -108,7 +108,8 @@ impl Distance {
         let p = terms.r.len();
         let own_rank = || (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         let free_states = reduction.exact.map(|exact| (exact.values.len(), exact.free_states(p)));
-        let told = free_states.map(|(q, free_states)| (q, free_states.least_squares(&unpack(reduction.factor, p), reduction.data)));
+        let told = free_states
+            .map(|(q, free_states)| (q, free_states.least_squares(&unpack(reduction.factor, p), reduction.data)));
         let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
         // For tests stored phase by phase the quadratic form also contains the disagreement of their phases at any ξ:
         // the sum of the phases' constants exceeds the stacked constant by half of this disagreement and of the

@@ -64,12 +64,12 @@ impl Posteriors {
 
     /// Posterior of the test with this number. Panics when there is no such test.
     pub fn get(&self, test: usize) -> Posterior<'_> {
-        let (p, squares) = (self.states(), self.squares());
+        let (p, covariance_entries) = (self.states(), self.covariance_entries());
         Posterior {
             log_likelihood: self.log_likelihood[test],
             mean: &self.mean[test * p..][..p],
             sizes: &self.sizes,
-            covariances: &self.covariances[test * squares..][..squares],
+            covariances: &self.covariances[test * covariance_entries..][..covariance_entries],
             distance: self.distance[test],
         }
     }
@@ -85,19 +85,19 @@ impl Posteriors {
         self.distance.push(distance);
         self.mean.extend_from_slice(mean);
         self.covariances.extend_from_slice(covariances);
-        debug_assert_eq!(self.covariances.len(), self.len() * self.squares());
+        debug_assert_eq!(self.covariances.len(), self.len() * self.covariance_entries());
     }
 
     /// Joins parts in the order of the tests' numbers, which are 0, 1, 2, … without gaps.
     pub(super) fn ordered(sizes: Vec<usize>, parts: &[NumberedPosteriors]) -> Posteriors {
-        let mut places: Vec<(usize, usize, usize)> = parts
+        let mut numbered: Vec<(usize, usize, usize)> = parts
             .iter()
             .enumerate()
             .flat_map(|(part, own)| own.numbers.iter().enumerate().map(move |(at, &number)| (number, part, at)))
             .collect();
-        places.sort_unstable();
+        numbered.sort_unstable();
         let mut all = Posteriors::new(sizes);
-        for (_, part, at) in places {
+        for (_, part, at) in numbered {
             let one = parts[part].found.get(at);
             all.push((one.log_likelihood, one.distance), one.mean, one.covariances);
         }
@@ -108,7 +108,7 @@ impl Posteriors {
         self.sizes.iter().sum()
     }
 
-    fn squares(&self) -> usize {
+    fn covariance_entries(&self) -> usize {
         self.sizes.iter().map(|size| size * size).sum()
     }
 }
@@ -116,11 +116,11 @@ impl Posteriors {
 impl<'a> Posterior<'a> {
     /// Var[ξ_i | z] of the phase with this number (p_i × p_i). Panics when the model has no such phase.
     pub fn covariance(&self, phase: usize) -> DMatrixView<'a, f64> {
-        DMatrixView::from_slice(self.square(phase), self.sizes[phase], self.sizes[phase])
+        DMatrixView::from_slice(self.covariance_rows(phase), self.sizes[phase], self.sizes[phase])
     }
 
     /// The covariance of a phase by rows.
-    pub fn square(&self, phase: usize) -> &'a [f64] {
+    pub fn covariance_rows(&self, phase: usize) -> &'a [f64] {
         let (before, size) = (&self.sizes[..phase], self.sizes[phase]);
         let start: usize = before.iter().map(|size| size * size).sum();
         &self.covariances[start..][..size * size]

@@ -11,14 +11,14 @@ use kalfit_model::PhasedModel;
 
 /// Progress reports shared between threads.
 pub struct SharedProgress<'p> {
-    told: Mutex<ToldInterval<'p>>,
+    reported: Mutex<ReportedInterval<'p>>,
     /// Whether a stop was requested; never reset.
     stopped: AtomicBool,
     /// Names of the elements of μ and Σ.
     names: Vec<String>,
 }
 
-struct ToldInterval<'p> {
+struct ReportedInterval<'p> {
     progress: &'p mut dyn Progress,
     /// Name of the quantity whose interval was begun last, and whether its upper end is computed.
     of: String,
@@ -26,18 +26,18 @@ struct ToldInterval<'p> {
     filter_runs: usize,
 }
 
-impl ToldInterval<'_> {
-    fn tell(&mut self) {
-        let ToldInterval { of, is_upper, filter_runs, .. } = self;
+impl ReportedInterval<'_> {
+    fn report(&mut self) {
+        let ReportedInterval { of, is_upper, filter_runs, .. } = self;
         self.progress.stage(Stage::Interval { of, is_upper: *is_upper, filter_runs: *filter_runs });
     }
 }
 
 impl<'p> SharedProgress<'p> {
     pub fn new(progress: &'p mut dyn Progress, model: Option<&PhasedModel>) -> SharedProgress<'p> {
-        let told = Mutex::new(ToldInterval { progress, of: String::new(), is_upper: false, filter_runs: 0 });
+        let reported = Mutex::new(ReportedInterval { progress, of: String::new(), is_upper: false, filter_runs: 0 });
         let names = model.map_or_else(Vec::new, PhasedModel::element_names);
-        SharedProgress { told, stopped: AtomicBool::new(false), names }
+        SharedProgress { reported, stopped: AtomicBool::new(false), names }
     }
 
     /// Whether a stop was requested.
@@ -45,9 +45,9 @@ impl<'p> SharedProgress<'p> {
         if self.stopped.load(Ordering::Relaxed) {
             return true;
         }
-        let stops = match self.told.try_lock() {
-            Ok(told) => told.progress.stops(),
-            Err(TryLockError::Poisoned(told)) => told.into_inner().progress.stops(),
+        let stops = match self.reported.try_lock() {
+            Ok(reported) => reported.progress.stops(),
+            Err(TryLockError::Poisoned(reported)) => reported.into_inner().progress.stops(),
             Err(TryLockError::WouldBlock) => false, // another thread asks
         };
         self.stopped.fetch_or(stops, Ordering::Relaxed);
@@ -61,13 +61,13 @@ impl<'p> SharedProgress<'p> {
     }
 
     /// Reports which end of an interval is computed now, unless a stop was requested.
-    pub(crate) fn seeks(&self, of: &str, is_upper: bool) {
+    pub(crate) fn report_end(&self, of: &str, is_upper: bool) {
         if self.stops() {
             return;
         }
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        (told.of, told.is_upper) = (of.to_owned(), is_upper);
-        told.tell();
+        let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+        (reported.of, reported.is_upper) = (of.to_owned(), is_upper);
+        reported.report();
     }
 
     /// Reports the number of filter runs so far; false once a stop is requested.
@@ -75,10 +75,10 @@ impl<'p> SharedProgress<'p> {
         if self.stops() {
             return false;
         }
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        told.filter_runs = filter_runs;
-        if !told.of.is_empty() {
-            told.tell();
+        let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+        reported.filter_runs = filter_runs;
+        if !reported.of.is_empty() {
+            reported.report();
         }
         true
     }

@@ -99,7 +99,7 @@ fn mean(problem: &Problem, direction: &Direction, seen: &Observability) -> Expla
     states.dedup();
     let tests = seen.tests_of(&states);
     let reason = match unseen(&states, seen) {
-        dark if dark.len() == states.len() => Reason::Unseen { states },
+        unobserved if unobserved.len() == states.len() => Reason::Unseen { states },
         _ if !regressions.is_empty() => Reason::Confounded { regressions },
         _ => Reason::NeverApart { states },
     };
@@ -119,10 +119,10 @@ fn covariance(problem: &Problem, direction: &Direction, seen: &Observability) ->
     states.sort_unstable();
     states.dedup();
     let tests = seen.tests_of(&states);
-    let dark = unseen(&states, seen);
+    let unobserved = unseen(&states, seen);
     let reason = match elements.as_slice() {
-        elements if elements.iter().all(|(i, k)| dark.contains(i) || dark.contains(k)) => {
-            Reason::Unseen { states: dark }
+        elements if elements.iter().all(|(i, k)| unobserved.contains(i) || unobserved.contains(k)) => {
+            Reason::Unseen { states: unobserved }
         }
         &[(i, k)] if i != k && seen.together[i][k] == 0 => Reason::NeverTogether { states: [k, i] },
         _ if levels.len() > 1 => Reason::LevelsTogether { states },

@@ -2,7 +2,7 @@
 
 /// A quantity has no standard error when undetermined values of α move it by more than this, relative to its largest
 /// derivative.
-pub(super) const PART: f64 = 1e-6;
+pub(super) const MAX_OPEN_SHARE: f64 = 1e-6;
 
 /// Matrix that standard errors come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

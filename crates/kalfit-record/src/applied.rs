@@ -154,7 +154,7 @@ pub struct AppliedSource {
 }
 
 /// Significance level, after correction for the number of tests or groups.
-const LEVEL: f64 = 0.05;
+const SIGNIFICANCE: f64 = 0.05;
 
 impl From<Joint> for JointRecord {
     fn from(Joint { squared, degrees_of_freedom, law, p_value }: Joint) -> JointRecord {
@@ -179,8 +179,8 @@ impl FitRecord {
     /// does not list its tests it is all or none.
     pub fn own_tests(&self, tests: &[PhasedTest], said: &Said) -> usize {
         /// Relative difference between computations of one log density on two machines.
-        const SAME: f64 = 1e-9;
-        let is_same = |a: f64, b: f64| (a - b).abs() <= SAME * (1.0 + a.abs());
+        const DENSITY_TOLERANCE: f64 = 1e-9;
+        let is_same = |a: f64, b: f64| (a - b).abs() <= DENSITY_TOLERANCE * (1.0 + a.abs());
         if self.tests.is_empty() {
             let all: f64 = said.log_density();
             let is_own = self.data.tests == tests.len() && is_same(self.log_likelihood, all);
@@ -212,7 +212,7 @@ impl AppliedRecord {
             let (squared, degrees) = said.residuals[test].unwrap_or_default();
             (squared, degrees, above(laws.residuals[test], squared))
         });
-        let stands_out = |one: &FarRecord| one.p_corrected < LEVEL;
+        let stands_out = |one: &FarRecord| one.p_corrected < SIGNIFICANCE;
         AppliedRecord {
             title: model.shared().title.clone(),
             fitted: source.fitted,
@@ -243,7 +243,7 @@ fn above(law: Option<Law>, squared: f64) -> Option<f64> {
     law?.tails(squared).map(|[_, above]| above)
 }
 
-/// Groups of all levels that stand out at `LEVEL`.
+/// Groups of all levels that stand out at `SIGNIFICANCE`.
 fn outlying_groups(
     model: &PhasedModel,
     (grouping, labels): (&Grouping, &Labels),
@@ -269,7 +269,7 @@ fn outlying_groups(
     all.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.id.cmp(&b.id)));
     let p_values: Vec<f64> = all.iter().map(|one| one.p_value).collect();
     all.iter_mut().zip(holm(&p_values, p_values.len())).for_each(|(one, corrected)| one.p_corrected = corrected);
-    all.retain(|one| one.p_corrected < LEVEL);
+    all.retain(|one| one.p_corrected < SIGNIFICANCE);
     all
 }
 

@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
-use crate::cut::{PhaseCut, phases_of};
+use crate::cut::{BlockCut, phases_of};
 use crate::diagnosis::shortage_notes;
 use crate::directions::crossing_notes;
 use crate::number::plain;
-use crate::own::{MOST_OWN, OwnEstimate};
+use crate::own::{MOST_SINGLE_ESTIMATES, TestEstimate};
 use crate::phases::phases_and_levels;
 use crate::test_records::TestFigures;
 use crate::{
@@ -21,7 +21,7 @@ use kalfit_model::Labels;
 use kalfit_model::{Alpha, PhasedModel, Slots};
 
 /// Number of significant digits of figures in notes.
-const DIGITS: usize = 4;
+const NOTE_DIGITS: usize = 4;
 
 /// Facts about a fit that the core does not know.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -195,7 +195,7 @@ fn intervals(inference: &Inference) -> &'static str {
 }
 
 fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<ConstraintRecord> {
-    let cuts = PhaseCut::blocks(model);
+    let cuts = BlockCut::blocks(model);
     let of = |sensitivity: &Sensitivity| {
         let (Element::Mean(first) | Element::Covariance(first, _)) = sensitivity.element;
         let cut = cuts.iter().find(|cut| cut.element(first).is_some()).expect("an element is of some phase");
@@ -204,7 +204,7 @@ fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<Constr
     sensitivities.iter().map(of).collect()
 }
 
-fn constraint(cut: &PhaseCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
+fn constraint(cut: &BlockCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
     let model = &cut.phase.model;
     let name = |i: usize| &model.states[model.estimated[i - cut.elements.start]].name;
     ConstraintRecord {
@@ -226,12 +226,12 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
     if inference.posteriors.is_empty() {
         return TestRecords::default(); // not requested
     }
-    let cuts = PhaseCut::all(model);
+    let cuts = BlockCut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
     order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let classes = DesignClasses::new(reductions, &order);
-    let with_own = if order.len() <= MOST_OWN { &order[..] } else { &[] };
-    let own: Vec<OwnEstimate> = with_own.par_iter().map(|&j| OwnEstimate::of(reductions.get(j))).collect();
+    let with_estimates = if order.len() <= MOST_SINGLE_ESTIMATES { &order[..] } else { &[] };
+    let own: Vec<TestEstimate> = with_estimates.par_iter().map(|&j| TestEstimate::of(reductions.get(j))).collect();
     let mut tests = TestRecords::with_room(order.len(), cuts.iter().map(|cut| cut.elements.len()));
     for (place, j) in order.into_iter().enumerate() {
         let (reduction, posterior) = (reductions.get(j), inference.posteriors.get(j));
@@ -248,7 +248,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
         let deletion = inference.deletions.as_ref().and_then(|all| all[j].as_ref());
         tests.push(reduction.test, figures, deletion.map(|without| DeletionRecord::new(model, without)));
         for cut in &cuts[..phases_of(reduction, model)] {
-            let (mean, covariance) = (&posterior.mean[cut.elements.clone()], posterior.square(cut.index));
+            let (mean, covariance) = (&posterior.mean[cut.elements.clone()], posterior.covariance_rows(cut.index));
             let own = own.get(place).and_then(|own| own.part(cut));
             tests.phases.push(&cut.phase.name, (mean, covariance), own);
         }
@@ -289,7 +289,7 @@ impl DeletionRecord {
     /// The record of a fit without a test or a group.
     pub(super) fn new(model: &PhasedModel, deletion: &Deletion) -> DeletionRecord {
         let Deletion { estimate, log_density, distance, displacement } = deletion;
-        let of = |cut: &PhaseCut<'_>| DeletedRecord {
+        let of = |cut: &BlockCut<'_>| DeletedRecord {
             name: cut.name().to_owned(),
             mean: if cut.level.is_none() { cut.list(&estimate.mean) } else { Vec::new() },
             regression: estimate.coefficients[cut.regressions.clone()].to_vec(),
@@ -300,7 +300,7 @@ impl DeletionRecord {
             distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
             p_value: distance.p_value,
             displacement: *displacement,
-            phases: PhaseCut::blocks(model).iter().map(of).collect(),
+            phases: BlockCut::blocks(model).iter().map(of).collect(),
         }
     }
 }
@@ -316,8 +316,8 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
         if let Some(error) = uncertainty.errors.covariance[i][i].filter(|e| *e >= variance) {
             notes.push(format!(
                 "the variance of `{name}` is weakly determined: its standard error ({}) is no smaller than the variance itself ({})",
-                plain(error, DIGITS),
-                plain(variance, DIGITS)
+                plain(error, NOTE_DIGITS),
+                plain(variance, NOTE_DIGITS)
             ));
         }
     }

@@ -154,8 +154,8 @@ impl GroupRecord {
         let figures = || tests.clone().filter_map(|test| test.innovations);
         let innovations: usize = figures().map(|figures| figures.count).sum();
         let nis: f64 = figures().filter_map(|figures| figures.nis).sum();
-        let near = || tests.clone().filter_map(|test| Some((test.distance?, test.degrees_of_freedom)));
-        let (distance, degrees_of_freedom) = near().fold((0.0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+        let distances = || tests.clone().filter_map(|test| Some((test.distance?, test.degrees_of_freedom)));
+        let (distance, degrees_of_freedom) = distances().fold((0.0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         let law = |degrees: usize| ChiSquared::new(degrees as f64).ok().filter(|_| degrees > 0);
         GroupRecord {
             group: group.cloned(),

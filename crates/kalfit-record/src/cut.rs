@@ -9,7 +9,7 @@ use kalfit_model::{CovarianceStructure, GroupLevel, Phase, PhasedModel, Regressi
 
 /// One block of Σ, a phase or a level, with the ranges of its elements and regressions among those of all blocks.
 #[derive(Debug, Clone)]
-pub(super) struct PhaseCut<'a> {
+pub(super) struct BlockCut<'a> {
     /// The phase; for a level of groups, the only phase of the model.
     pub(super) phase: &'a Phase,
     /// The level of groups, if the block is one.
@@ -22,23 +22,23 @@ pub(super) struct PhaseCut<'a> {
     pub(super) regressions: Range<usize>,
 }
 
-impl<'a> PhaseCut<'a> {
+impl<'a> BlockCut<'a> {
     /// All phases of a model, in order.
-    pub(super) fn all(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
+    pub(super) fn all(model: &'a PhasedModel) -> Vec<BlockCut<'a>> {
         let mut end = 0;
         let cut = |(index, (phase, elements)): (usize, (&'a Phase, Range<usize>))| {
             let start = end;
             end += phase.model.mean.regression.len();
-            PhaseCut { phase, level: None, index, elements, regressions: start..end }
+            BlockCut { phase, level: None, index, elements, regressions: start..end }
         };
         model.phases.iter().zip(model.ranges()).enumerate().map(cut).collect()
     }
 
     /// All blocks of Σ: all phases, or the only phase and then the levels of groups, the innermost first.
-    pub(super) fn blocks(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
-        let mut all = PhaseCut::all(model);
+    pub(super) fn blocks(model: &'a PhasedModel) -> Vec<BlockCut<'a>> {
+        let mut all = BlockCut::all(model);
         let (p, end) = (model.dimension(), all.last().map_or(0, |cut| cut.regressions.end));
-        let level = |(l, level): (usize, &'a GroupLevel)| PhaseCut {
+        let level = |(l, level): (usize, &'a GroupLevel)| BlockCut {
             phase: &model.phases[0],
             level: Some(level),
             index: l + 1,
@@ -88,12 +88,12 @@ impl<'a> PhaseCut<'a> {
 
 /// Regressions of all phases, with elements numbered over all phases.
 pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
-    let of = |cut: PhaseCut<'_>| -> Vec<Regression> {
+    let of = |cut: BlockCut<'_>| -> Vec<Regression> {
         let start = cut.elements.start;
         let moved = |r: &Regression| Regression { element: start + r.element, column: r.column };
         cut.phase.model.mean.regression.iter().map(moved).collect()
     };
-    PhaseCut::all(model).into_iter().flat_map(of).collect()
+    BlockCut::all(model).into_iter().flat_map(of).collect()
 }
 
 /// Number of phases of a model that a test has.

@@ -1,6 +1,6 @@
 //! What the data identify and how well the model describes them, as records, with reasons in words.
 
-use crate::cut::{PhaseCut, regressions};
+use crate::cut::{BlockCut, regressions};
 use crate::{InnovationPartRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
 use kalfit_filter::innovations::{Innovations, Part, Summary, Whiteness};
 use kalfit_infer::{Leading, Observability, Reason, StateObservability};
@@ -23,8 +23,8 @@ impl ObservabilityRecord {
                 leading_share,
             }
         };
-        let of = |cut: PhaseCut<'_>| cut.states().into_iter().zip(&seen.states[cut.elements]).map(record).collect();
-        PhaseCut::all(model).into_iter().map(of).collect()
+        let of = |cut: BlockCut<'_>| cut.states().into_iter().zip(&seen.states[cut.elements]).map(record).collect();
+        BlockCut::all(model).into_iter().map(of).collect()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Directions in the space of all estimates, split into phases, with named elements.
 
-use crate::cut::PhaseCut;
+use crate::cut::BlockCut;
 use crate::diagnosis::{named, words};
 use crate::number::plain;
 use crate::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
@@ -39,7 +39,7 @@ impl Entries {
     /// Elements of μ, then regression coefficients as `state per column`.
     fn mean(model: &PhasedModel, coefficients: bool) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
-        let (cuts, full) = (PhaseCut::blocks(model), model.element_names());
+        let (cuts, full) = (BlockCut::blocks(model), model.element_names());
         for cut in &cuts {
             for (own, k) in cut.states().into_iter().zip(cut.elements.clone()) {
                 entries.add(cut, own, full[k].clone());
@@ -60,7 +60,7 @@ impl Entries {
     fn covariance(model: &PhasedModel) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
         let full = model.element_names();
-        for cut in PhaseCut::blocks(model) {
+        for cut in BlockCut::blocks(model) {
             let (own, full) = (cut.states(), &full[cut.elements.clone()]);
             for (i, j) in (0..own.len()).flat_map(|i| (0..=i).map(move |j| (i, j))) {
                 let whole = match i == j {
@@ -73,7 +73,7 @@ impl Entries {
         entries
     }
 
-    fn add(&mut self, cut: &PhaseCut<'_>, own: String, full: String) {
+    fn add(&mut self, cut: &BlockCut<'_>, own: String, full: String) {
         self.phase.push(cut.index);
         self.own.push(own);
         self.full.push(full);
@@ -87,7 +87,7 @@ impl Entries {
 
     /// The parts of a direction in all phases that it involves.
     fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<PhaseDirection> {
-        let cuts = PhaseCut::blocks(model);
+        let cuts = BlockCut::blocks(model);
         let counts = |phase: &usize| {
             let mut own = direction.iter().zip(&self.phase).filter(|(_, of)| *of == phase);
             cuts.len() == 1 || own.any(|(weight, _)| *weight != 0.0)
@@ -131,7 +131,7 @@ impl UnidentifiedRecord {
         directions: &[Direction],
         explanations: &[Explanation],
     ) -> Vec<Vec<UnidentifiedRecord>> {
-        let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
+        let mut records = vec![Vec::new(); BlockCut::blocks(model).len()];
         for (direction, explanation) in directions.iter().zip(explanations) {
             let entries = Entries::of(model, direction.quantity);
             for PhaseDirection { phase, direction: part, phases } in entries.parts(model, &direction.direction) {
@@ -157,7 +157,7 @@ impl WeakRecord {
     /// phase's part; [`crossing_notes`] has the whole.
     pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<WeakRecord>> {
         let entries = Entries::mean(model, false);
-        let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
+        let mut records = vec![Vec::new(); BlockCut::blocks(model).len()];
         for weak in &seen.weak {
             for PhaseDirection { phase, direction, phases } in entries.parts(model, &weak.direction) {
                 let (leading_test, leading_share) = named(&weak.leading);
@@ -176,14 +176,14 @@ impl InformationRecord {
             return vec![None; model.phases.len()];
         }
         let names = model.estimated_names();
-        let record = |(cut, found): (PhaseCut<'_>, &PhaseObservability)| InformationRecord {
+        let record = |(cut, found): (BlockCut<'_>, &PhaseObservability)| InformationRecord {
             own_rank: found.own_rank,
             entering: cut.phase.entering().len(),
             rank_so_far: found.rank_so_far,
             of: cut.elements.end,
             entered: found.entered.iter().map(|weights| entered(&names, weights)).collect(),
         };
-        PhaseCut::all(model).into_iter().zip(seen).map(|pair| Some(record(pair))).collect()
+        BlockCut::all(model).into_iter().zip(seen).map(|pair| Some(record(pair))).collect()
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::build;
 use crate::diagnosis::{joined, list};
 use crate::parameters;
-use crate::parameters::{MethodRecord, StartRecord, ZERO, meaning};
+use crate::parameters::{MethodRecord, StartRecord, ZERO_MEANING, meaning};
 use crate::{FitRecord, Provenance};
 use kalfit_estimate::{Criterion, Stop};
 use kalfit_infer::dynamic::MOST_PROFILED;
@@ -13,9 +13,9 @@ use kalfit_model::{Expression, Model, Parameter, PhasedModel, State};
 use kalfit_search::{DynamicFit, Explored, Method, ParameterInference, Standing};
 
 /// Largest difference of log-likelihoods at which two searches count as equally high.
-const EQUAL: f64 = 1e-4;
+const EQUAL_HEIGHT: f64 = 1e-4;
 /// Largest difference of two values, in parts of their standard error or of themselves, at which they count as equal.
-const SAME: f64 = 0.05;
+const EQUAL_VALUE: f64 = 0.05;
 
 /// Number of filter runs above which a note compares EM with the hybrid method.
 const MANY_RUNS: usize = 300;
@@ -28,16 +28,16 @@ const CUT_SHORT: &str =
 const ON_A_SAMPLE: &str = "other maxima were searched for on a part of the data, because there are many rows";
 
 /// Note for several free processes; its figure is from trials with random models.
-const SEVERAL: &str = "several processes are free, and a higher maximum can be missed: in trials with random models about 1 of 200 fits missed one; `--starts` adds more starts";
+const SEVERAL_PROCESSES: &str = "several processes are free, and a higher maximum can be missed: in trials with random models about 1 of 200 fits missed one; `--starts` adds more starts";
 
 /// Note for ensembles whose data are elsewhere.
 const ONE_SEARCH: &str = "no other maxima were searched for, because a fit by sums makes one search only; `start` in the model begins it elsewhere";
 
 /// Addition to the note on a value that is estimated as zero: how to get its upper limit.
-const LIMIT: &str = "; `--intervals profile` gives the upper limit";
+const LIMIT_HINT: &str = "; `--intervals profile` gives the upper limit";
 
 /// Advice where ℓ has no maximum.
-const EXACT: &str = "noise-free data do not determine a noise level: give it a fixed value or a `lower` bound, or check whether the data were rounded, repeated or made without noise";
+const EXACT_DATA_ADVICE: &str = "noise-free data do not determine a noise level: give it a fixed value or a `lower` bound, or check whether the data were rounded, repeated or made without noise";
 
 /// A fit of α, μ and Σ, and what was inferred from it.
 #[derive(Debug, Clone, Copy)]
@@ -86,14 +86,14 @@ impl FitRecord {
         record.solver.trace = fit.trace.clone();
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
-        notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
+        notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT_DATA_ADVICE.to_owned()] });
         if record.converged && fit.slots.len() > 1 {
             let said = match fit.explored {
                 Explored::No if fit.reductions.remote().is_some() => Some(ONE_SEARCH),
                 Explored::No => Some(NOT_EXPLORED),
                 Explored::Part => Some(CUT_SHORT),
                 Explored::Sample => Some(ON_A_SAMPLE),
-                Explored::Whole => (processes(parts) > 1).then_some(SEVERAL),
+                Explored::Whole => (processes(parts) > 1).then_some(SEVERAL_PROCESSES),
             };
             notes.extend(said.map(str::to_owned));
         }
@@ -108,10 +108,10 @@ impl FitRecord {
 
     /// Adds where several methods ended, this record's method included; a note reports methods that disagree.
     pub fn add_methods(&mut self, methods: Vec<MethodRecord>) {
-        let apart = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL;
+        let differs = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL_HEIGHT;
         let differ: Vec<String> = methods
             .iter()
-            .filter(|m| m.converged && apart(m))
+            .filter(|m| m.converged && differs(m))
             .map(|m| format!("`{}` at a log-likelihood of {:.4}", m.method, m.log_likelihood))
             .collect();
         if !differ.is_empty() {
@@ -217,7 +217,7 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             }
         }
         let sentence = |(meaning, levels): &(&str, Vec<String>)| {
-            let how = if unlimited && *meaning == ZERO { LIMIT } else { "" };
+            let how = if unlimited && *meaning == ZERO_MEANING { LIMIT_HINT } else { "" };
             format!("{} is {meaning}{how}", whose(parts.model.shared(), parameter, levels))
         };
         notes.extend(seen.iter().map(sentence));
@@ -237,9 +237,9 @@ fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
     }
     let model = parts.model.shared();
     let zero = |&p: &usize| is(p, &|standing| matches!(standing, Standing::Lower | Standing::Vanishing));
-    let beside = |&p: &usize| parts.model.phases.iter().any(|phase| phase.model.occur_together(index, p));
+    let stands_with = |&p: &usize| parts.model.phases.iter().any(|phase| phase.model.occur_together(index, p));
     let zeros: Vec<usize> = (0..model.parameters.len()).filter(zero).collect();
-    let own: Vec<usize> = zeros.iter().copied().filter(beside).collect();
+    let own: Vec<usize> = zeros.iter().copied().filter(stands_with).collect();
     let named: Vec<String> = if own.is_empty() { zeros } else { own }
         .into_iter()
         .map(|p| format!("`{}`", model.parameters[p].name))
@@ -264,7 +264,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let fit = parts.fit;
     let what = if fit.estimate.criterion == Criterion::Reml { "restricted log-likelihood" } else { "log-likelihood" };
     let top = fit.estimate.log_likelihood;
-    let equal = EQUAL + 1e-9 * top.abs();
+    let equal = EQUAL_HEIGHT + 1e-9 * top.abs();
     let all = fit.others.len();
     let certified: Vec<_> = fit.others.iter().filter(|end| end.stop == Stop::Certified).collect();
     let below = fit.lower_maxima(equal);
@@ -277,12 +277,12 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         ));
     }
     let elsewhere = |end: &&&kalfit_search::OtherEnd| {
-        top - end.log_likelihood <= equal && (0..fit.values.len()).any(|i| apart(parts, i, end.values[i]))
+        top - end.log_likelihood <= equal && (0..fit.values.len()).any(|i| differs(parts, i, end.values[i]))
     };
-    let flat = certified.iter().filter(elsewhere).count();
-    if flat > 0 {
+    let equally_high = certified.iter().filter(elsewhere).count();
+    if equally_high > 0 {
         notes.push(format!(
-            "{flat} of {all} other starts reached the same height at other values of the dynamic parameters, so the maximum is not unique"
+            "{equally_high} of {all} other starts reached the same height at other values of the dynamic parameters, so the maximum is not unique"
         ));
     }
     let given_up = fit.others.iter().filter(|end| end.given_up).count();
@@ -291,7 +291,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             "{given_up} of {all} other starts were stopped early, because they were not leading to a higher {what}"
         ));
     }
-    let lost = fit.others.iter().filter(|end| end.stop != Stop::Certified && !end.given_up).count();
+    let uncertified = fit.others.iter().filter(|end| end.stop != Stop::Certified && !end.given_up).count();
     let higher = fit.others.iter().filter(|end| end.stop != Stop::Certified && end.log_likelihood > top + equal);
     if let Some(most) = higher.map(|end| end.log_likelihood).reduce(f64::max) {
         notes.push(format!(
@@ -299,15 +299,15 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
             most - top
         ));
     }
-    if lost > 0 {
-        notes.push(format!("{lost} of {all} other starts did not end at a certified optimum"));
+    if uncertified > 0 {
+        notes.push(format!("{uncertified} of {all} other starts did not end at a certified optimum"));
     }
     notes
 }
 
 /// Whether the value of slot `i` from another start differs from this fit's.
-fn apart(parts: &DynamicParts<'_>, i: usize, other: f64) -> bool {
+fn differs(parts: &DynamicParts<'_>, i: usize, other: f64) -> bool {
     let (value, found) = (parts.fit.values[i], &parts.parameters[i]);
     let unit = found.std_error.unwrap_or(value.abs());
-    found.standing == Standing::Inside && (other - value).abs() > SAME * unit
+    found.standing == Standing::Inside && (other - value).abs() > EQUAL_VALUE * unit
 }

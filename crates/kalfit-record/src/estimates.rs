@@ -9,7 +9,7 @@ use kalfit_infer::{Estimand, EstimateCovariance, Estimated, Knowledge};
 use kalfit_model::Labels;
 use kalfit_model::{PhasedModel, Slots};
 
-use crate::cut::PhaseCut;
+use crate::cut::BlockCut;
 use crate::{FitRecord, ParameterRecord, SquareRecord};
 
 /// The covariance of all estimates, except fixed numbers and those on bounds.
@@ -30,25 +30,25 @@ pub struct EstimatesRecord {
 /// Names of the elements of μ, of the regression coefficients, and of the elements of Σ.
 fn names(model: &PhasedModel) -> Vec<(Estimated, String)> {
     let mut all = Vec::new();
-    for cut in PhaseCut::blocks(model) {
-        let before = match cut.level {
+    for cut in BlockCut::blocks(model) {
+        let prefix = match cut.level {
             None if model.is_single() => String::new(),
             _ => format!("{}: ", cut.name()),
         };
         let (states, first) = (cut.states(), cut.elements.start);
         if cut.level.is_none() {
             let means = states.iter().enumerate();
-            all.extend(means.map(|(i, name)| (Estimated::Mean(first + i), format!("{before}mean[{name}]"))));
+            all.extend(means.map(|(i, name)| (Estimated::Mean(first + i), format!("{prefix}mean[{name}]"))));
             let own = &cut.phase.model;
             let regressions = cut.regressions.clone().zip(&own.mean.regression);
             all.extend(regressions.map(|(c, regression)| {
                 let (state, column) = (&states[regression.element], &own.columns[regression.column].name);
-                (Estimated::Coefficient(c), format!("{before}regression[{state}, {column}]"))
+                (Estimated::Coefficient(c), format!("{prefix}regression[{state}, {column}]"))
             }));
         }
         for (i, second) in states.iter().enumerate() {
             for (j, one) in states[..=i].iter().enumerate() {
-                let name = format!("{before}covariance[{one}, {second}]");
+                let name = format!("{prefix}covariance[{one}, {second}]");
                 all.push((Estimated::Covariance(first + i, first + j), name));
             }
         }

@@ -91,16 +91,16 @@ impl FitRecord {
         let Some(level) = model.levels.last() else { return HashMap::new() };
         let p = model.dimension();
         let own = self.groups.iter().filter(|unit| unit.level == level.name);
-        let sound = own.filter(|unit| unit.mean.len() == p && unit.covariance.size() == p);
+        let valid = own.filter(|unit| unit.mean.len() == p && unit.covariance.size() == p);
         let law = |unit: &UnitRecord| {
             let covariance = DMatrix::from_fn(p, p, |i, k| unit.covariance[i][k]);
             let width = p + population.coefficients.len();
-            let sound = |rows: &&Vec<Vec<f64>>| rows.len() == p && rows.iter().all(|row| row.len() == width);
-            let follows = unit.follows.as_ref().filter(sound);
+            let valid = |rows: &&Vec<Vec<f64>>| rows.len() == p && rows.iter().all(|row| row.len() == width);
+            let follows = unit.follows.as_ref().filter(valid);
             let follows = follows.map(|rows| DMatrix::from_fn(p, width, |i, c| rows[i][c]));
             Initial::of_group(model, population, (unit.mean.clone(), &covariance), follows)
         };
-        sound.map(|unit| (unit.id.clone(), law(unit))).collect()
+        valid.map(|unit| (unit.id.clone(), law(unit))).collect()
     }
 
     /// Adds the groups of each test, by name, and the results of each group.

@@ -53,15 +53,15 @@ pub fn level_notes(model: &Model, counts: &[LevelCounts]) -> Vec<String> {
         let parameter = &model.parameters[*parameter];
         let Some(column) = parameter.per else { continue };
         let has = |text: &str| tests.binary_search_by(|(level, _)| level.as_str().cmp(text)).is_ok();
-        let mut strange: Vec<&str> =
+        let mut unknown_levels: Vec<&str> =
             parameter.fixed_levels.keys().map(|&l| model.literals[l].as_str()).filter(|text| !has(text)).collect();
-        strange.sort_unstable();
-        if !strange.is_empty() {
+        unknown_levels.sort_unstable();
+        if !unknown_levels.is_empty() {
             let column = &model.text_columns[column].name;
             notes.push(format!(
                 "`{}` is fixed for {column} {}, which the data do not have: they have {}",
                 parameter.name,
-                list(strange.into_iter(), "and"),
+                list(unknown_levels.into_iter(), "and"),
                 list(tests.iter().map(|(level, _)| level.as_str()), "and")
             ));
         }

@@ -15,9 +15,9 @@ use crate::{FitRecord, InnovationRecord, TestRecord};
 pub const SEARCH_LEVEL: f64 = 0.05;
 /// Tail probability below which the mean square of all innovations is improbable: that of a normal number beyond three
 /// standard deviations.
-const OVERALL: f64 = 0.001_35;
+const OVERALL_TAIL: f64 = 0.001_35;
 /// Number of innovations per free quantity above which a mean square below one counts against the model.
-const PER_FREE: usize = 10;
+const INNOVATIONS_PER_FREE: usize = 10;
 
 /// What the innovations, the distances of the tests and the fits without each of them show about the model. Each check
 /// over all tests rejects a correct model in 5 % of ensembles.
@@ -45,9 +45,9 @@ impl ModelCheckRecord {
     /// Checks the requested figures of a record. Nothing is checked without figures of the tests, or where the search
     /// did not converge.
     pub fn of(record: &FitRecord) -> ModelCheckRecord {
-        let looked_at =
+        let has_figures =
             innovation_p_values(record).next().is_some() || record.tests.iter().any(|t| t.p_value.is_some());
-        if !record.converged || !looked_at {
+        if !record.converged || !has_figures {
             return ModelCheckRecord { verdict: "not checked".to_owned(), findings: vec![], remarks: vec![] };
         }
         let found = [
@@ -90,9 +90,9 @@ pub fn holm(ascending: &[f64], all: usize) -> Vec<f64> {
 /// where there are many innovations for the number of free quantities.
 pub fn overall_size(count: usize, nis: f64, free: usize) -> Ordering {
     let Some(chi) = ChiSquared::new(count as f64).ok().filter(|_| count > 0) else { return Ordering::Equal };
-    if nis > count as f64 && chi.sf(nis) < OVERALL {
+    if nis > count as f64 && chi.sf(nis) < OVERALL_TAIL {
         Ordering::Greater
-    } else if nis < count as f64 && count > PER_FREE * free && chi.cdf(nis) < OVERALL {
+    } else if nis < count as f64 && count > INNOVATIONS_PER_FREE * free && chi.cdf(nis) < OVERALL_TAIL {
         Ordering::Less
     } else {
         Ordering::Equal

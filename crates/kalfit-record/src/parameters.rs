@@ -168,13 +168,13 @@ fn standing_word(standing: Standing) -> &'static str {
 }
 
 /// Meaning of a lower bound of zero that is reached.
-pub(super) const ZERO: &str = "estimated as zero: the data show no such effect";
+pub(super) const ZERO_MEANING: &str = "estimated as zero: the data show no such effect";
 
 /// Meaning of a standing for the value itself, in words.
 pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
     match standing {
         Standing::Inside => None,
-        Standing::Lower if value == 0.0 => Some(ZERO),
+        Standing::Lower if value == 0.0 => Some(ZERO_MEANING),
         Standing::Lower => Some("at its lower bound: the likelihood increases below it"),
         Standing::Vanishing => {
             Some("practically zero: at zero a measurement would be exact, so a slightly larger value was kept")

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::cut::{PhaseCut, phases_of};
+use crate::cut::{BlockCut, phases_of};
 use crate::{
     BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, LevelRecord,
     MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
@@ -57,7 +57,7 @@ fn blocks(
     let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
     let mut weak = WeakRecord::by_phase(model, observability).into_iter();
     let mut information = InformationRecord::by_phase(model, &inference.phases).into_iter();
-    let record = |cut: PhaseCut<'_>| PhaseRecord {
+    let record = |cut: BlockCut<'_>| PhaseRecord {
         unidentified: unidentified.next().unwrap_or_default(),
         observability: seen.next().unwrap_or_default(),
         weakly_determined: weak.next().unwrap_or_default(),
@@ -65,11 +65,11 @@ fn blocks(
         tests: Some(tests_of(&cut, (estimate, reductions), model)),
         ..phase(&cut, estimate, inference)
     };
-    PhaseCut::blocks(model).into_iter().map(record).collect()
+    BlockCut::blocks(model).into_iter().map(record).collect()
 }
 
 /// Number of tests that have a phase.
-fn tests_of(cut: &PhaseCut<'_>, (estimate, reductions): (&Estimate, &Reductions), model: &PhasedModel) -> usize {
+fn tests_of(cut: &BlockCut<'_>, (estimate, reductions): (&Estimate, &Reductions), model: &PhasedModel) -> usize {
     let present = &estimate.state.problem.classes.present;
     match cut.level {
         Some(_) => present[0] as usize,
@@ -78,7 +78,7 @@ fn tests_of(cut: &PhaseCut<'_>, (estimate, reductions): (&Estimate, &Reductions)
     }
 }
 
-fn phase(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
+fn phase(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
     let (model, states) = (&cut.phase.model, cut.states());
     let (uncertainty, intervals) = (&inference.uncertainty, &inference.intervals);
     let deviations = estimate.covariance.diagonal().map(|v| v.max(0.0).sqrt());
@@ -109,7 +109,7 @@ fn phase(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> Phas
 }
 
 /// A singular block of Σ, if it belongs to this phase.
-fn boundary(cut: &PhaseCut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
+fn boundary(cut: &BlockCut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
     let names = |of: &[usize]| of.iter().filter_map(|&i| Some(states[cut.element(i)?].clone())).collect::<Vec<_>>();
     let own = names(&found.states);
     (!own.is_empty()).then(|| BoundaryRecord {
@@ -121,7 +121,7 @@ fn boundary(cut: &PhaseCut<'_>, states: &[String], found: &Boundary) -> Option<B
     })
 }
 
-fn filter(cut: &PhaseCut<'_>) -> Option<FilterRecord> {
+fn filter(cut: &BlockCut<'_>) -> Option<FilterRecord> {
     cut.phase.filter.as_ref().map(|filter| FilterRecord {
         kind: KALMAN_SCHMIDT.to_owned(),
         consider: filter.consider.iter().map(|&state| cut.phase.model.states[state].name.clone()).collect(),
@@ -165,7 +165,7 @@ impl FitRecord {
     }
 }
 
-fn mean(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {
+fn mean(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {
     let model = &cut.phase.model;
     let structure = if cut.level.is_some() { &MeanStructure::zero(cut.elements.len()) } else { &model.mean };
     let estimates = cut.list(&estimate.mean);
@@ -196,7 +196,7 @@ fn mean(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanR
     }
 }
 
-fn covariance(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> CovarianceRecord {
+fn covariance(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> CovarianceRecord {
     let p = cut.elements.len();
     let mut fixed = vec![vec![false; p]; p];
     for sensitivity in &inference.sensitivities {
@@ -223,7 +223,7 @@ fn covariance(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) ->
 }
 
 /// Interval of β, in proportion to that of the largest variance.
-fn scale_interval(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
+fn scale_interval(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
     let variance = |i: usize| estimate.covariance[(i, i)];
     let i = cut.elements.clone().max_by(|&a, &b| variance(a).total_cmp(&variance(b)))?;
     let ends = inference.intervals.ends.covariance[i][i]?;

@@ -108,7 +108,7 @@ impl ArrangementRecord {
 }
 
 /// Level of groups of an element of Σ, and the corresponding element in the block of the tests themselves.
-fn own_of(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity) {
+fn split_level(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity) {
     let p = model.dimension();
     let level = |i: usize| {
         let inner = (i / p).checked_sub(1).filter(|_| !model.levels.is_empty())?;
@@ -124,11 +124,11 @@ fn own_of(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity)
 
 /// The phase that contains number `place` of all phases together, and the number within that phase.
 fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase, usize) {
-    let mut left = place;
+    let mut remaining = place;
     for phase in &model.phases {
-        match left.checked_sub(many(&phase.model)) {
-            None => return (phase, left),
-            Some(beyond) => left = beyond,
+        match remaining.checked_sub(many(&phase.model)) {
+            None => return (phase, remaining),
+            Some(beyond) => remaining = beyond,
         }
     }
     panic!("the plan is of another model: it has a quantity {place}, beyond all phases")
@@ -136,7 +136,7 @@ fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase
 
 fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord {
     let regressions = |model: &Model| model.mean.regression.len();
-    let (level, of) = own_of(model, planned.quantity);
+    let (level, of) = split_level(model, planned.quantity);
     let (phase, own) = match of {
         Quantity::Mean(i) | Quantity::StdDev(i) => find(model, i, Model::dimension),
         Quantity::Correlation(i, _) | Quantity::Covariance(i, _) => find(model, i, Model::dimension),

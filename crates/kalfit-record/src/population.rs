@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::cut::PhaseCut;
+use crate::cut::BlockCut;
 use crate::{FitRecord, LevelRecord, PhaseRecord};
 use kalfit_model::{PhasedModel, Population, PopulationError};
 
@@ -43,12 +43,12 @@ pub enum RecordError {
 }
 
 fn shown(names: &[String]) -> String {
-    const MOST: usize = 12;
+    const MOST_NAMES: usize = 12;
     if names.is_empty() {
         return "none".to_owned();
     }
-    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
-    let first: Vec<String> = names.iter().take(MOST).map(|name| format!("`{name}`")).collect();
+    let more = if names.len() > MOST_NAMES { format!(" and {} more", names.len() - MOST_NAMES) } else { String::new() };
+    let first: Vec<String> = names.iter().take(MOST_NAMES).map(|name| format!("`{name}`")).collect();
     format!("{}{more}", first.join(", "))
 }
 
@@ -70,7 +70,7 @@ impl FitRecord {
         let place = places("the phases".to_owned(), &found, &expected)?;
         let p = model.element_names().len();
         let mut whole = Population { mean: Vec::new(), coefficients: Vec::new(), covariance: DMatrix::zeros(p, p) };
-        for (cut, &place) in PhaseCut::all(model).iter().zip(&place) {
+        for (cut, &place) in BlockCut::all(model).iter().zip(&place) {
             let of = if model.is_single() { String::new() } else { format!(" of phase `{}`", cut.phase.name) };
             add(&mut whole, cut, &self.phases[place], &of)?;
         }
@@ -89,7 +89,7 @@ impl FitRecord {
         if found != expected {
             return Err(RecordError::Names { what: "the levels".to_owned(), found, expected });
         }
-        for (cut, level) in PhaseCut::blocks(model).iter().skip(model.phases.len()).zip(own.iter().rev()) {
+        for (cut, level) in BlockCut::blocks(model).iter().skip(model.phases.len()).zip(own.iter().rev()) {
             let of = format!(" of level `{}`", level.name);
             let place = places(format!("the estimated states{of}"), &level.states, &cut.states())?;
             let rows = &level.covariance.estimate;
@@ -109,7 +109,7 @@ impl FitRecord {
 }
 
 /// Adds one phase to the population of all; in messages, `of` follows the name of a thing.
-fn add(whole: &mut Population, cut: &PhaseCut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
+fn add(whole: &mut Population, cut: &BlockCut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
     let place = places(format!("the estimated states{of}"), &phase.states, &cut.states())?;
     refuse_ragged(phase, place.len(), of)?;
     whole.mean.extend(place.iter().map(|&i| phase.mean.estimate[i]));
@@ -138,7 +138,7 @@ fn refuse_ragged(phase: &PhaseRecord, p: usize, of: &str) -> Result<(), RecordEr
     Ok(())
 }
 
-fn coefficients(phase: &PhaseRecord, cut: &PhaseCut<'_>, of: &str) -> Result<Vec<f64>, RecordError> {
+fn coefficients(phase: &PhaseRecord, cut: &BlockCut<'_>, of: &str) -> Result<Vec<f64>, RecordError> {
     let (model, states) = (&cut.phase.model, cut.states());
     let found: Vec<String> = phase.mean.regression.iter().map(|r| format!("{} on {}", r.state, r.column)).collect();
     let structure = &model.mean.regression;

@@ -114,7 +114,7 @@ pub struct PredictedSource {
 }
 
 /// Largest number of tests whose last rows are included.
-const MOST: usize = 3;
+const MOST_TESTS: usize = 3;
 
 impl PredictedRecord {
     /// A record without tests.
@@ -153,7 +153,7 @@ impl PredictedRecord {
         let Some((phase, step)) = phases.last().and_then(|phase| Some((phase.phase, phase.steps.last()?))) else {
             return;
         };
-        if self.tests > MOST {
+        if self.tests > MOST_TESTS {
             return;
         }
         let last = step.rows.end - 1;

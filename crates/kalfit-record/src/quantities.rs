@@ -49,8 +49,9 @@ impl FitRecord {
     pub fn quantities(&self) -> Vec<QuantityRecord> {
         let mut all = Vec::new();
         for phase in &self.phases {
-            let before = if self.phases.len() > 1 { format!("{}: ", phase.name) } else { String::new() };
-            let of = Of { before, phase: &phase.name, level: None, states: &phase.states, units: &phase.units };
+            let prefix = if self.phases.len() > 1 { format!("{}: ", phase.name) } else { String::new() };
+            let of =
+                QuantityOwner { prefix, phase: &phase.name, level: None, states: &phase.states, units: &phase.units };
             of.means(phase, &mut all);
             if self.levels.is_empty() {
                 of.spread(&CovarianceForms::from(phase), &mut all);
@@ -59,9 +60,9 @@ impl FitRecord {
         let first = self.phases.first().map_or((&[][..], "main"), |phase| (&phase.units[..], phase.name.as_str()));
         for level in &self.levels {
             let own = level.column.is_none(); // the spread of the tests is the covariance of the model itself
-            let before = if own { String::new() } else { format!("{}: ", level.name) };
+            let prefix = if own { String::new() } else { format!("{}: ", level.name) };
             let (phase, states) = (first.1, &level.states);
-            let of = Of { before, phase, level: Some(&level.name), states, units: first.0 };
+            let of = QuantityOwner { prefix, phase, level: Some(&level.name), states, units: first.0 };
             of.spread(&CovarianceForms::from(level), &mut all);
         }
         all.extend(self.parameters.iter().map(parameter));
@@ -70,9 +71,9 @@ impl FitRecord {
 }
 
 /// The phase or level that numbers belong to.
-struct Of<'a> {
+struct QuantityOwner<'a> {
     /// Beginning of the names of the numbers.
-    before: String,
+    prefix: String,
     phase: &'a str,
     level: Option<&'a str>,
     states: &'a [String],
@@ -110,13 +111,13 @@ struct ValueErrors {
     interval95: Interval,
 }
 
-impl Of<'_> {
+impl QuantityOwner<'_> {
     fn row(&self, kind: &str, states: &[&str], value: ValueErrors, status: &str) -> QuantityRecord {
         let text = |at: usize| states.get(at).map(|state| (*state).to_owned());
         let [lower, upper] = value.interval95.unwrap_or_default();
         let within = if states.is_empty() { String::new() } else { format!("[{}]", states.join(", ")) };
         QuantityRecord {
-            name: format!("{}{kind}{within}", self.before),
+            name: format!("{}{kind}{within}", self.prefix),
             kind: kind.to_owned(),
             phase: Some(self.phase.to_owned()),
             level: self.level.map(str::to_owned),

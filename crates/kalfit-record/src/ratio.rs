@@ -183,7 +183,7 @@ impl RatioRecord {
             law: law.components.iter().map(component).collect(),
             law_is_bound: law.is_bound,
             notes,
-            bootstrap: bootstrap.map(|(asked, found)| BootstrapRecord::of(asked, found)),
+            bootstrap: bootstrap.map(|(request, found)| BootstrapRecord::of(request, found)),
             parts,
             null,
             alternative,
@@ -192,15 +192,15 @@ impl RatioRecord {
 }
 
 impl BootstrapRecord {
-    fn of(asked: Bootstrap, found: &BootstrapResult) -> BootstrapRecord {
+    fn of(request: Bootstrap, found: &BootstrapResult) -> BootstrapRecord {
         let counts = !found.statistics.is_empty();
         let mut sorted = found.statistics.clone();
         sorted.sort_by(f64::total_cmp);
         let at = (0.95 * (sorted.len() as f64 + 1.0)).ceil() as usize;
         BootstrapRecord {
-            replicates: asked.replicates,
+            replicates: request.replicates,
             failed: found.failed,
-            seed: asked.seed,
+            seed: request.seed,
             p_value: counts.then_some(found.p_value),
             std_error: counts.then_some(found.std_error),
             quantile95: sorted.get(at.wrapping_sub(1)).copied(),
@@ -245,7 +245,7 @@ fn words(components: &[Component]) -> String {
 }
 
 /// Number of tests below which large-sample laws are only a rough guide.
-const FEW: usize = 50;
+const FEW_TESTS: usize = 50;
 
 /// Number of tests, or of groups of the outermost level, and what they are called.
 pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
@@ -280,7 +280,7 @@ pub(super) fn add_doubts(
                 .to_owned(),
         );
     }
-    if let Some((count, name)) = independent.filter(|(count, _)| *count < FEW && notes.is_empty()) {
+    if let Some((count, name)) = independent.filter(|(count, _)| *count < FEW_TESTS && notes.is_empty()) {
         notes.push(format!(
             "with {count} {name} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it"
         ));

@@ -22,13 +22,13 @@ const MOST_LAGS: usize = 20;
 /// Largest number of measurements with separate autocorrelations; where there are more, they share one.
 const MOST_MEASUREMENTS: usize = 6;
 /// Values are rounded to this many steps per unit, because they are for charts only.
-const GRAIN: f64 = 1e4;
+const ROUNDING_STEPS: f64 = 1e4;
 
 /// Collects innovations test by test, and retains those of the least probable tests.
 #[derive(Debug, Default)]
 pub struct SeriesKeeper {
     /// (p-value, test, series) of the retained tests, in order of p-value, then of id.
-    kept: Vec<(f64, String, SeriesRecord)>,
+    retained: Vec<(f64, String, SeriesRecord)>,
 }
 
 impl SeriesKeeper {
@@ -39,25 +39,25 @@ impl SeriesKeeper {
         }
         let white = figures.whiteness.as_ref().map(|w| w.p_value);
         let p = [figures.nis_p_value, white].into_iter().flatten().fold(2.0, f64::min);
-        let place = self.kept.partition_point(|(q, id, _)| (*q, id.as_str()) < (p, found.test.as_str()));
+        let place = self.retained.partition_point(|(q, id, _)| (*q, id.as_str()) < (p, found.test.as_str()));
         if place < MOST_TESTS {
-            self.kept.insert(place, (p, found.test.clone(), SeriesRecord::new(&found.series, model)));
-            self.kept.truncate(MOST_TESTS);
+            self.retained.insert(place, (p, found.test.clone(), SeriesRecord::new(&found.series, model)));
+            self.retained.truncate(MOST_TESTS);
         }
     }
 
     /// Series of the retained tests, by test id.
     pub(super) fn into_series(self) -> BTreeMap<String, SeriesRecord> {
-        let mut room = MOST_ROWS_OF_ALL;
-        let mut kept = BTreeMap::new();
-        for (_, id, mut series) in self.kept {
-            if series.at.len() > room {
+        let mut remaining = MOST_ROWS_OF_ALL;
+        let mut retained = BTreeMap::new();
+        for (_, id, mut series) in self.retained {
+            if series.at.len() > remaining {
                 (series.at, series.measurement, series.standardised) = Default::default();
             }
-            room -= series.at.len();
-            kept.insert(id, series);
+            remaining -= series.at.len();
+            retained.insert(id, series);
         }
-        kept
+        retained
     }
 }
 
@@ -78,7 +78,7 @@ impl SeriesRecord {
         SeriesRecord {
             measurements: index.keys().map(|&key| name(model, key)).collect(),
             measurement: series.iter().filter(|_| few).map(|one| index[&(one.phase, one.measurement)]).collect(),
-            standardised: rows(&|i| grained(series[i].standardised)),
+            standardised: rows(&|i| rounded(series[i].standardised)),
             timed,
             time_unit: model.shared().clock.unit.clone().filter(|_| timed),
             windows: windows(series, &at),
@@ -112,8 +112,8 @@ fn name(model: &PhasedModel, (phase, measurement): (usize, usize)) -> String {
     if model.is_single() { name.clone() } else { format!("{}: {name}", of.name) }
 }
 
-fn grained(x: f64) -> f64 {
-    if x.abs() < 1e9 { (x * GRAIN).round() / GRAIN } else { x.clamp(-f64::MAX, f64::MAX) }
+fn rounded(x: f64) -> f64 {
+    if x.abs() < 1e9 { (x * ROUNDING_STEPS).round() / ROUNDING_STEPS } else { x.clamp(-f64::MAX, f64::MAX) }
 }
 
 fn windows(series: &[Innovation], at: &[f64]) -> Vec<WindowRecord> {
@@ -157,7 +157,7 @@ fn autocorrelation(channels: &[&[f64]]) -> Option<(usize, Vec<f64>)> {
     };
     let sum = |k: usize| channels.iter().map(|z| product(z, k)).sum::<f64>();
     let square = sum(0);
-    Some((count, (1..=lags).map(|k| grained(sum(k) / square)).collect()))
+    Some((count, (1..=lags).map(|k| rounded(sum(k) / square)).collect()))
 }
 
 #[cfg(test)]

@@ -5,16 +5,16 @@
 use crate::Coordinate;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::scales::{measures, time_constants};
-use crate::tries::{FACTOR, tried};
+use crate::tries::{TRIAL_FACTOR, tried};
 use kalfit_estimate::Progress;
 
 /// Powers of the factor tried for levels of one kind alone.
-const ALONE: [i32; 7] = [-3, -2, -1, 0, 1, 2, 3];
+const POWERS_ALONE: [i32; 7] = [-3, -2, -1, 0, 1, 2, 3];
 /// Powers tried for levels of measurements in combination: these are seldom far above the differences of successive
 /// values.
-const MEASURED: [i32; 5] = [-4, -2, -1, 0, 1];
+const MEASUREMENT_POWERS: [i32; 5] = [-4, -2, -1, 0, 1];
 /// Powers tried for levels of motion in combination: the data's units are not those of every state.
-const MOVED: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
+const MOTION_POWERS: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
 
 /// Sets the unknown noise levels to the likeliest of some points over both kinds. Returns other points that are
 /// likelier than all their neighbours, the likeliest first.
@@ -27,9 +27,9 @@ pub(super) fn balance(
     let (measured, moved) = kinds(small, unknown);
     let (rows, columns): (&[i32], &[i32]) = match (measured.is_empty(), moved.is_empty()) {
         (true, true) => return Vec::new(),
-        (false, true) => (&ALONE, &[0]),
-        (true, false) => (&[0], &ALONE),
-        (false, false) => (&MEASURED, &MOVED),
+        (false, true) => (&POWERS_ALONE, &[0]),
+        (true, false) => (&[0], &POWERS_ALONE),
+        (false, false) => (&MEASUREMENT_POWERS, &MOTION_POWERS),
     };
     let at = |a: i32, b: i32| -> Vec<f64> {
         let power = |s: usize| {
@@ -61,7 +61,7 @@ pub(super) fn balance(
 }
 
 fn step(coordinate: Coordinate, value: f64, power: i32) -> f64 {
-    if power == 0 { value } else { coordinate.moved(value, f64::from(power) * FACTOR.ln()) }
+    if power == 0 { value } else { coordinate.moved(value, f64::from(power) * TRIAL_FACTOR.ln()) }
 }
 
 /// Free values that are unknown noise levels: (of measurements, of motion).

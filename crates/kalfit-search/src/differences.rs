@@ -5,29 +5,29 @@ use std::collections::BTreeMap;
 use nalgebra::{DVector, RowDVector};
 
 use crate::profile_likelihood::{FixedLawPoint, ProfileLikelihood, ProfilePoint};
-use crate::touching::Touching;
+use crate::sparsity::JacobianSparsity;
 
 /// Step of a logarithm for differences to both sides.
 const STEP: f64 = 1e-4;
 /// Step of a logarithm for differences to one side.
-const SHORT: f64 = 1e-6;
+const ONE_SIDED_STEP: f64 = 1e-6;
 /// Range, in standard errors, in which the step of a value that is not positive should lie.
-const PARTS: [f64; 2] = [1e-6, 3e-2];
+const STEP_RANGE: [f64; 2] = [1e-6, 3e-2];
 /// Maximal number of times that steps are made longer or shorter.
-const ATTEMPTS: usize = 5;
+const MAX_ATTEMPTS: usize = 5;
 
 /// What differences are taken of, and how.
 pub(super) struct Differences<'s> {
     pub(super) objective: &'s ProfileLikelihood<'s>,
-    pub(super) home: &'s ProfilePoint,
-    pub(super) touching: &'s Touching,
+    pub(super) iterate: &'s ProfilePoint,
+    pub(super) touching: &'s JacobianSparsity,
     /// Differences are taken to both sides, not to one.
     pub(super) central: bool,
 }
 
 /// The columns of values that no test has in common.
 #[derive(Default)]
-pub(super) struct OwnColumns {
+pub(super) struct ColourColumns {
     /// -∂²ℓ/∂α∂α, by (other value, value).
     pub(super) own: BTreeMap<(usize, usize), f64>,
     /// -∂²ℓ/∂α∂(μ, Σ) along the tangent basis, by value.
@@ -36,12 +36,12 @@ pub(super) struct OwnColumns {
 
 impl Differences<'_> {
     /// The columns of the values of a colour, from one run of the filters or two.
-    pub(super) fn columns(&self, colour: &[usize]) -> OwnColumns {
-        let Differences { objective, home, central, .. } = *self;
-        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(objective, &home.values, s, central)).collect();
-        let mut columns = OwnColumns::default();
-        for attempt in 0..ATTEMPTS {
-            let sides = sides(objective, home, (colour, &steps), central);
+    pub(super) fn columns(&self, colour: &[usize]) -> ColourColumns {
+        let Differences { objective, iterate, central, .. } = *self;
+        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(objective, &iterate.values, s, central)).collect();
+        let mut columns = ColourColumns::default();
+        for attempt in 0..MAX_ATTEMPTS {
+            let sides = sides(objective, iterate, (colour, &steps), central);
             let Some(sides) = sides.filter(|sides| widths(objective, colour, sides).values().all(|w| *w > 0.0)) else {
                 if objective.is_waiting() {
                     break; // the sides are not known yet
@@ -54,8 +54,12 @@ impl Differences<'_> {
             for (&s, h) in colour.iter().zip(&mut steps) {
                 let own = columns.own.get(&(s, s)).copied().unwrap_or(0.0).abs().sqrt();
                 let part = *h * own;
-                if !objective.coordinates[s].log && own > 0.0 && attempt < 3 && !(PARTS[0]..=PARTS[1]).contains(&part) {
-                    *h = (PARTS[0] * PARTS[1]).sqrt() / own;
+                if !objective.coordinates[s].log
+                    && own > 0.0
+                    && attempt < 3
+                    && !(STEP_RANGE[0]..=STEP_RANGE[1]).contains(&part)
+                {
+                    *h = (STEP_RANGE[0] * STEP_RANGE[1]).sqrt() / own;
                     wrong = true;
                 }
             }
@@ -67,7 +71,7 @@ impl Differences<'_> {
     }
 
     /// The columns of a colour from the two sides.
-    fn between(&self, colour: &[usize], sides: &[FixedLawPoint; 2]) -> OwnColumns {
+    fn between(&self, colour: &[usize], sides: &[FixedLawPoint; 2]) -> ColourColumns {
         let Differences { objective, touching, .. } = *self;
         let width = widths(objective, colour, sides);
         let mut own = BTreeMap::new();
@@ -83,7 +87,7 @@ impl Differences<'_> {
                 }
             }
         }
-        for &by in colour.iter().filter(|&&s| touching.matrix[s] || touching.everywhere(s)) {
+        for &by in colour.iter().filter(|&&s| touching.matrix[s] || touching.is_common(s)) {
             for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
                 for &(s, bar) in &side.matrix {
                     add(s, by, sign * bar * slope(side, s) / width[&by]);
@@ -91,7 +95,7 @@ impl Differences<'_> {
             }
         }
         let cross = colour.iter().map(|&s| (s, self.cross((colour, s), sides).transpose() / width[&s])).collect();
-        OwnColumns { own, cross }
+        ColourColumns { own, cross }
     }
 
     /// Difference of the gradient along the tangent basis, for a value of a colour.
@@ -99,7 +103,7 @@ impl Differences<'_> {
         if colour.len() == 1 {
             return &sides[1].inner - &sides[0].inner;
         }
-        let state = &self.home.estimate.state;
+        let state = &self.iterate.estimate.state;
         let mut row = DVector::zeros(sides[0].inner.len());
         for &j in &self.touching.tests[s] {
             let [before, after] = sides.each_ref().map(|side| state.gradient_of(side.tests.reductions.get(j)));
@@ -109,27 +113,30 @@ impl Differences<'_> {
     }
 }
 
-/// Gradients on both sides of `home`, with the values of a colour moved; the lower side is `home` itself for
+/// Gradients on both sides of `iterate`, with the values of a colour moved; the lower side is `iterate` itself for
 /// differences to one side.
 fn sides(
     objective: &ProfileLikelihood<'_>,
-    home: &ProfilePoint,
+    iterate: &ProfilePoint,
     (colour, steps): (&[usize], &[f64]),
     central: bool,
 ) -> Option<[FixedLawPoint; 2]> {
-    let moved = |sign: f64| objective.shift(home, &beside(objective, &home.values, (colour, steps), sign));
+    let moved = |sign: f64| objective.shift(iterate, &moved_to_side(objective, &iterate.values, (colour, steps), sign));
     let upper = moved(1.0);
-    let lower =
-        if central || (upper.is_none() && !objective.is_waiting()) { moved(-1.0) } else { objective.at_home(home) };
-    two_sides(upper, lower, || objective.at_home(home))
+    let lower = if central || (upper.is_none() && !objective.is_waiting()) {
+        moved(-1.0)
+    } else {
+        objective.at_iterate(iterate)
+    };
+    two_sides(upper, lower, || objective.at_iterate(iterate))
 }
 
-/// Two sides; where one of them is undefined, `home` takes its place.
-pub fn two_sides<T>(upper: Option<T>, lower: Option<T>, home: impl FnOnce() -> Option<T>) -> Option<[T; 2]> {
+/// Two sides; where one of them is undefined, `iterate` takes its place.
+pub fn two_sides<T>(upper: Option<T>, lower: Option<T>, iterate: impl FnOnce() -> Option<T>) -> Option<[T; 2]> {
     match (upper, lower) {
         (Some(upper), Some(lower)) => Some([upper, lower]),
-        (Some(upper), None) => Some([upper, home()?]),
-        (None, Some(lower)) => Some([home()?, lower]),
+        (Some(upper), None) => Some([upper, iterate()?]),
+        (None, Some(lower)) => Some([iterate()?, lower]),
         (None, None) => None,
     }
 }
@@ -144,7 +151,7 @@ fn widths(objective: &ProfileLikelihood<'_>, colour: &[usize], sides: &[FixedLaw
 }
 
 /// The values with those of a colour moved to one side.
-fn beside(
+fn moved_to_side(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],
     (colour, steps): (&[usize], &[f64]),
@@ -156,7 +163,7 @@ fn beside(
 }
 
 /// First points that [`Differences::columns`] evaluates about some values, where all tests depend on each of these.
-pub(crate) fn around(
+pub(crate) fn first_points(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],
     active: &[bool],
@@ -165,11 +172,11 @@ pub(crate) fn around(
     let signs: &[f64] = if central { &[1.0, -1.0] } else { &[1.0] };
     let of = |s: usize| {
         let step = first_step(objective, values, s, central);
-        signs.iter().map(move |sign| beside(objective, values, (&[s], &[step]), *sign))
+        signs.iter().map(move |sign| moved_to_side(objective, values, (&[s], &[step]), *sign))
     };
     (0..values.len()).filter(|&s| active[s]).flat_map(of).collect()
 }
 
 fn first_step(objective: &ProfileLikelihood<'_>, values: &[f64], s: usize, central: bool) -> f64 {
-    objective.coordinates[s].step(values[s], if central { STEP } else { SHORT })
+    objective.coordinates[s].step(values[s], if central { STEP } else { ONE_SIDED_STEP })
 }

@@ -8,7 +8,7 @@ use crate::indirect::{Around, WEIGHTS, moved};
 use kalfit_algebra::{log_determinant, whitened, whitener};
 use kalfit_filter::reduce::{ReduceError, ReductionRef, Reductions};
 use kalfit_filter::score::InitialLaw;
-use kalfit_filter::score::{Gradient, ExactConditional, add};
+use kalfit_filter::score::{ExactConditional, Gradient, add};
 use kalfit_model::PhasedTest;
 use kalfit_model::unpack;
 use nalgebra::DMatrix;

@@ -38,7 +38,7 @@ impl Exchange {
     }
 
     /// Whether the exchange keeps the model unchanged.
-    pub(super) fn leaves(&self, model: &Model) -> bool {
+    pub(super) fn preserves(&self, model: &Model) -> bool {
         let moves = |s: usize| self.states.iter().any(|&(a, b)| a == s || b == s);
         let all = model.expressions();
         let at = |site: Site| all.iter().find(|(other, _)| *other == site).map(|(_, expression)| *expression);

@@ -7,40 +7,42 @@
 //! elsewhere does the search go there on all rows.
 
 use crate::coordinates::alike;
-use crate::places::{each_once, places};
+use crate::exchangeable::ordered;
+use crate::places::{deduplicated, places};
 use crate::profile_likelihood::ProfileLikelihood;
-use crate::sample::{ALIKE, CLOSE, FOLLOWED, SubsampleProgress, larger, nearer, roughly, sample, total};
+use crate::sample::{
+    ALIKE, CLOSE_LOSS, MAX_FOLLOWED, SubsampleProgress, larger, refined, rough_settings, sample, total,
+};
 use crate::search::search;
-use crate::search_state::{RISE, SearchEnd, SearchStart, SearchState};
-use crate::tries::valued;
-use crate::twins::ordered;
+use crate::search_state::{MIN_RISE, SearchEnd, SearchStart, SearchState};
+use crate::tries::with_likelihood;
 use crate::{DynamicError, Explored, Method, Settings, start};
 use kalfit_estimate::{Progress, Stop};
 
 /// Maximal number of rows that the exploration filters, over all runs.
-const ROWS: usize = 20_000_000;
+const MAX_ROWS: usize = 20_000_000;
 /// Ratio of all rows to those of the sample from which on the exploration uses the sample.
-const LONGER: usize = 2;
+const MIN_RATIO: usize = 2;
 /// Maximal number of runs of the filters.
-const RUNS: usize = 600;
+const MAX_RUNS: usize = 600;
 /// Number of free values above which nothing is explored: a single search costs too much.
-const VALUES: usize = 24;
+const MAX_VALUES: usize = 24;
 /// Number of affordable runs below which nothing is explored.
-const FEWEST: usize = 150;
+const MIN_RUNS: usize = 150;
 /// Maximal number of rounds, each about the best end so far.
-const ROUNDS: usize = 4;
+const MAX_ROUNDS: usize = 4;
 /// Maximal number of runs where rows are few.
-const MORE_RUNS: usize = 1800;
+const MAX_RUNS_FEW_ROWS: usize = 1800;
 /// Number of rows that these more numerous runs may filter in all.
 const FEW_ROWS: usize = 900_000;
 /// Rise of ℓ up to which a higher end is the same maximum, along a direction in which ℓ is level.
-const LITTLE: f64 = 1e-5;
+const SAME_MAXIMUM: f64 = 1e-5;
 
-/// Adds the ends found, and returns how far the exploration went; `told`: all start values were given.
+/// Adds the ends found, and returns how far the exploration went; `all_given`: all start values were given.
 pub(super) fn explore(
     objective: &ProfileLikelihood<'_>,
     ends: &mut Vec<SearchEnd>,
-    told: bool,
+    all_given: bool,
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
     let settings = Settings { method: Method::Hybrid, ..objective.settings.clone() };
@@ -48,42 +50,44 @@ pub(super) fn explore(
     let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
     let part = if common { sample(objective.tests, common) } else { Vec::new() };
     let small = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
-    let is_long = common && objective.rows() > 0 && LONGER * total(&part) <= objective.rows();
+    let is_long = common && objective.rows() > 0 && MIN_RATIO * total(&part) <= objective.rows();
     let explored = match best(ends) {
-        Some(_) if is_long && is_possible(&small) => on_part((objective, &hybrid, &small), ends, told, progress),
-        _ if is_possible(objective) => look_around((objective, &hybrid), ends, (told, 0.0), progress),
+        Some(_) if is_long && is_possible(&small) => {
+            explore_sample((objective, &hybrid, &small), ends, all_given, progress)
+        }
+        _ if is_possible(objective) => explore_from_best((objective, &hybrid), ends, (all_given, 0.0), progress),
         _ => Ok(Explored::No),
     };
-    objective.absorb(&hybrid);
+    objective.add_counts(&hybrid);
     explored
 }
 
 /// Explores a part of the data, and adds the certified ends above the best one that it leads to on all of the data.
-fn on_part(
+fn explore_sample(
     (objective, hybrid, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
-    told: bool,
+    all_given: bool,
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
-    let Some(home) = best(ends).map(SearchEnd::restart) else { return Ok(Explored::No) };
+    let Some(iterate) = best(ends).map(SearchEnd::restart) else { return Ok(Explored::No) };
     let mut beside = SubsampleProgress { small, progress: &mut *progress };
-    let Ok(start) = small.solve(&home, None) else { return Ok(Explored::No) };
+    let Ok(start) = small.solve(&iterate, None) else { return Ok(Explored::No) };
     let mut found = vec![SearchState::new(small, &mut beside, start).run()?];
     let known = ordered(&objective.twins, &found[0].restart());
-    let looked = look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
-    found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
-    let highest = found[0].home.value();
-    let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(SearchEnd::restart);
+    let looked = explore_from_best((small, small), &mut found, (all_given, CLOSE_LOSS), &mut beside)?;
+    found.sort_by(|a, b| b.iterate.value().total_cmp(&a.iterate.value()));
+    let highest = found[0].iterate.value();
+    let near = found.iter().filter(|end| highest - end.iterate.value() <= CLOSE_LOSS).map(SearchEnd::restart);
     let elsewhere = near.filter(|values| !alike(&ordered(&objective.twins, values), &known, ALIKE));
-    let elsewhere: Vec<SearchStart> = elsewhere.take(FOLLOWED).map(SearchStart::from).collect();
-    for start in apart_from(&home, elsewhere, (objective, hybrid), progress) {
-        let floor = best(ends).map(|best| best.home.value() + RISE);
-        let Ok(home) = hybrid.solve(&start.values, None) else { continue };
+    let elsewhere: Vec<SearchStart> = elsewhere.take(MAX_FOLLOWED).map(SearchStart::from).collect();
+    for start in away_from(&iterate, elsewhere, (objective, hybrid), progress) {
+        let floor = best(ends).map(|best| best.iterate.value() + MIN_RISE);
+        let Ok(iterate) = hybrid.solve(&start.values, None) else { continue };
         if progress.stops() {
             return Ok(Explored::Part);
         }
-        let mut search = SearchState::new(hybrid, progress, home).beyond(floor);
-        search.begin_with(start.curvature);
+        let mut search = SearchState::new(hybrid, progress, iterate).with_best_known(floor);
+        search.start_from_curvature(start.curvature);
         let end = search.run()?;
         if is_higher(&end, floor) {
             ends.push(by_method(objective, end, progress)?);
@@ -92,9 +96,9 @@ fn on_part(
     Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
 }
 
-/// The starts that lead away from `home`, to nearly as high an ℓ, on larger parts of the data as well.
-fn apart_from(
-    home: &[f64],
+/// The starts that lead away from `iterate`, to nearly as high an ℓ, on larger parts of the data as well.
+fn away_from(
+    iterate: &[f64],
     elsewhere: Vec<SearchStart>,
     (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     progress: &mut dyn Progress,
@@ -102,19 +106,19 @@ fn apart_from(
     if elsewhere.is_empty() {
         return elsewhere;
     }
-    let mut starts = vec![SearchStart::from(home.to_vec())];
+    let mut starts = vec![SearchStart::from(iterate.to_vec())];
     starts.extend(elsewhere);
-    let settings = roughly(hybrid.settings);
+    let settings = rough_settings(hybrid.settings);
     for part in larger(objective.tests, true) {
         let larger = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
-        starts = nearer((hybrid, &larger), starts, progress);
+        starts = refined((hybrid, &larger), starts, progress);
     }
     starts.split_off(1)
 }
 
 /// Whether an end is certified and above `floor`.
 fn is_higher(end: &SearchEnd, floor: Option<f64>) -> bool {
-    end.stop == Stop::Certified && floor.is_none_or(|floor| end.home.value() > floor)
+    end.stop == Stop::Certified && floor.is_none_or(|floor| end.iterate.value() > floor)
 }
 
 /// The end, searched for again where the settings request another method than the hybrid one.
@@ -139,71 +143,72 @@ pub fn around(
     if !is_possible(objective) {
         return end;
     }
-    let most = objective.filter_passes() + most(objective);
-    let floor = end.home.value() + RISE;
+    let affordable_runs = objective.filter_passes() + affordable_runs(objective);
+    let floor = end.iterate.value() + MIN_RISE;
     let mut places = places(objective, &end, Some(held), progress);
-    places.extend(start::from_data(objective, Some((held, end.home.values[held])), progress));
-    let mut found = places.into_iter().take_while(|_| objective.filter_passes() < most).filter_map(|place| {
-        let home = objective.solve(&place, None).ok()?;
-        let mut search = SearchState::new(objective, &mut *progress, home).beyond(Some(floor));
-        search.hold(held);
-        search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
-    });
+    places.extend(start::from_data(objective, Some((held, end.iterate.values[held])), progress));
+    let mut found =
+        places.into_iter().take_while(|_| objective.filter_passes() < affordable_runs).filter_map(|place| {
+            let iterate = objective.solve(&place, None).ok()?;
+            let mut search = SearchState::new(objective, &mut *progress, iterate).with_best_known(Some(floor));
+            search.hold(held);
+            search.run().ok().filter(|found| found.stop == Stop::Certified && found.iterate.value() > floor)
+        });
     found.next().unwrap_or(end)
 }
 
 /// Whether enough runs may be spent to look for other maxima.
 fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
-    most(objective) > 0
+    affordable_runs(objective) > 0
 }
 
 /// Number of runs of the filters that may be spent; 0 where it is too small for a search.
-fn most(objective: &ProfileLikelihood<'_>) -> usize {
+fn affordable_runs(objective: &ProfileLikelihood<'_>) -> usize {
     let rows = objective.rows().max(1);
-    let runs = (ROWS / rows).min(RUNS).max((FEW_ROWS / rows).min(MORE_RUNS));
-    if runs < FEWEST || objective.slots.len() > VALUES { 0 } else { runs }
+    let runs = (MAX_ROWS / rows).min(MAX_RUNS).max((FEW_ROWS / rows).min(MAX_RUNS_FEW_ROWS));
+    if runs < MIN_RUNS || objective.slots.len() > MAX_VALUES { 0 } else { runs }
 }
 
-/// Adds ends that are higher than the best one, or lower by no more than `slack`; `told`: all start values were given.
-fn look_around(
+/// Adds ends that are higher than the best one, or lower by no more than `slack`; `all_given`: all start values were given.
+fn explore_from_best(
     (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
-    (told, slack): (bool, f64),
+    (all_given, slack): (bool, f64),
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
-    let most = most(objective);
-    let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
-    for round in 0..ROUNDS {
+    let affordable_runs = affordable_runs(objective);
+    let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.iterate.values.clone()).collect();
+    for round in 0..MAX_ROUNDS {
         let best = best(ends);
         let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
-        if round == 0 && told {
+        if round == 0 && all_given {
             places.extend(start::from_data(objective, None, progress));
         }
-        let mut floor = best.map(|best| best.home.value() + RISE);
-        let anew = floor.map(|floor| floor + LITTLE);
+        let mut floor = best.map(|best| best.iterate.value() + MIN_RISE);
+        let anew = floor.map(|floor| floor + SAME_MAXIMUM);
         let mut higher = false;
-        let places = in_turns(hybrid, untried(hybrid, &places, &tried), most, progress);
+        let places = interleaved(hybrid, untried(hybrid, &places, &tried), affordable_runs, progress);
         if progress.stops() {
             return Ok(Explored::Part);
         }
         for place in places {
-            if hybrid.filter_passes() >= most || progress.stops() {
+            if hybrid.filter_passes() >= affordable_runs || progress.stops() {
                 return Ok(Explored::Part);
             }
             tried.push(place.clone());
-            let Ok(home) = hybrid.solve(&place, None) else { continue };
+            let Ok(iterate) = hybrid.solve(&place, None) else { continue };
             let within = floor.map(|floor| floor - slack);
-            let found = SearchState::new(hybrid, progress, home).beyond(within).run()?;
+            let found = SearchState::new(hybrid, progress, iterate).with_best_known(within).run()?;
             if !is_higher(&found, within) {
                 continue;
             }
             higher = is_higher(&found, anew);
-            let (value, is_better) = (found.home.value(), is_higher(&found, floor));
+            let (value, is_better) = (found.iterate.value(), is_higher(&found, floor));
             ends.push(if is_better { by_method(objective, found, progress)? } else { found });
             if higher {
                 break;
             }
-            floor = floor.map(|floor| floor.max(value + RISE));
+            floor = floor.map(|floor| floor.max(value + MIN_RISE));
         }
         if !higher {
             return Ok(Explored::Whole);
@@ -215,23 +220,23 @@ fn look_around(
 /// The points that have not been tried, each once.
 fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let ordered = places.iter().map(|place| ordered(&objective.twins, place));
-    each_once(ordered.filter(|place| !tried.contains(place)))
+    deduplicated(ordered.filter(|place| !tried.contains(place)))
 }
 
 /// The points in alternation, one by the highest ℓ and one by the order of the list, each once. From a point with
 /// nearly as high an ℓ a search is short, but it may lead back to where it came from and use up the runs meant for
-/// others. Half of the `most` runs are reserved for searches: points after those that the other half allows are not
+/// others. Half of the `affordable_runs` runs are reserved for searches: points after those that the other half allows are not
 /// evaluated.
-fn in_turns(
+fn interleaved(
     objective: &ProfileLikelihood<'_>,
     places: Vec<Vec<f64>>,
-    most: usize,
+    affordable_runs: usize,
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
-    let affordable = most.saturating_sub(objective.filter_passes()) / 2;
-    let mut valued = valued(objective, places[..affordable.min(places.len())].to_vec(), progress);
-    valued.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut highest = valued.into_iter().map(|(place, _)| place);
+    let affordable = affordable_runs.saturating_sub(objective.filter_passes()) / 2;
+    let mut with_likelihood = with_likelihood(objective, places[..affordable.min(places.len())].to_vec(), progress);
+    with_likelihood.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut highest = with_likelihood.into_iter().map(|(place, _)| place);
     let mut turns: Vec<Vec<f64>> = Vec::with_capacity(places.len());
     for listed in places {
         let next = highest.find(|place| !turns.contains(place));
@@ -246,5 +251,5 @@ fn in_turns(
 /// The best certified end.
 pub(super) fn best(ends: &[SearchEnd]) -> Option<&SearchEnd> {
     let certified = ends.iter().filter(|end| end.stop == Stop::Certified);
-    certified.max_by(|a, b| a.home.value().total_cmp(&b.home.value()))
+    certified.max_by(|a, b| a.iterate.value().total_cmp(&b.iterate.value()))
 }

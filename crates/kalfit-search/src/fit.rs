@@ -6,7 +6,7 @@ use crate::profile_likelihood::ProfileLikelihood;
 use crate::search_state::SearchEnd;
 use crate::slot_name::slot_name;
 use crate::{
-    DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
+    DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, exchangeable, explore, search, start, unbounded,
 };
 use kalfit_estimate::{Combination, FitError, Progress, Stage, Stop};
 use kalfit_filter::reduce::grouping;
@@ -19,13 +19,13 @@ use kalfit_model::{PhasedModel, Population, Slots};
 /// Relative difference up to which log-likelihoods are equal.
 const ROUNDING: f64 = 1e-11;
 /// Information on a level's logarithm below which the level, as one at zero, is tried at a larger size.
-const UNFELT: f64 = 1e-2;
+const MIN_INFORMATION: f64 = 1e-2;
 /// That size, relative to the former size of the level or to the one that the data suggest.
-const RAISED: f64 = 0.3;
+const RAISED_SIZE: f64 = 0.3;
 /// Maximal number of levels tried in this way.
-const FEW: usize = 8;
+const MAX_RAISED: usize = 8;
 /// Rise of ℓ above the best certified end from which on an uncertified end is worth another search.
-const HIGHER: f64 = 1e-6;
+const MIN_RISE: f64 = 1e-6;
 
 /// Estimates α, μ and Σ from tests, in any number of phases. With no free values it is
 /// [`estimate::fit`](crate::estimate::fit) on the reductions.
@@ -37,25 +37,25 @@ pub fn fit(
     progress: &mut dyn Progress,
 ) -> Result<DynamicFit, DynamicError> {
     let slots = Slots::in_phases(model, labels, tests);
-    refuse(model, tests, &slots, settings)?;
+    check_supported(model, tests, &slots, settings)?;
     let objective = ProfileLikelihood::new(model, tests, &slots, settings);
     let (mut ends, explored, first_error) = all_ends(&objective, progress)?;
-    let Some(at) = chosen(&ends) else {
+    let Some(at) = best_end(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
     let (at, vanishing) = unbounded::find(&objective, &ends, at).unwrap_or((at, Vec::new()));
     let best = ends.remove(at);
-    let best = off_level_zeros(&objective, best, progress);
-    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let best = raise_free_zeros(&objective, best, progress);
+    ends.sort_by(|a, b| b.iterate.value().total_cmp(&a.iterate.value()));
     let other = |end: SearchEnd| OtherEnd {
-        log_likelihood: end.home.value(),
-        values: objective.values(&twins::aligned(&objective.twins, &end.home.values, &best.home.values)),
+        log_likelihood: end.iterate.value(),
+        values: objective.values(&exchangeable::aligned(&objective.twins, &end.iterate.values, &best.iterate.values)),
         stop: end.stop,
         given_up: end.given_up,
     };
     let others = ends.into_iter().map(other).collect();
     let unbounded = vanishing.iter().map(|&s| slot_name(model.shared(), labels, &slots, s)).collect();
-    finished(&objective, best, (others, explored, unbounded))
+    fit_at_end(&objective, best, (others, explored, unbounded))
 }
 
 /// Estimates α, μ and Σ from remote tests, by one search from these start values; the tests suggest the sizes `units`
@@ -68,7 +68,7 @@ pub fn fit_remote(
 ) -> Result<DynamicFit, DynamicError> {
     let objective = ProfileLikelihood::elsewhere(model, (slots, settings), (answers, units));
     let end = search::search(&objective, start.into(), None, progress)?;
-    finished(&objective, end, (Vec::new(), Explored::No, Vec::new()))
+    fit_at_end(&objective, end, (Vec::new(), Explored::No, Vec::new()))
 }
 
 /// The ends of the searches: from all starts, from the exploration beyond them, and from what may lead on; with the
@@ -77,7 +77,7 @@ fn all_ends(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
 ) -> Result<(Vec<SearchEnd>, Explored, Option<DynamicError>), DynamicError> {
-    let (mut ends, first_error) = searched(objective, progress)?;
+    let (mut ends, first_error) = search_all_starts(objective, progress)?;
     let explored = match progress.stops() {
         true => Explored::No,
         false => explore::explore(objective, &mut ends, start::all_given(objective), progress)?,
@@ -92,9 +92,9 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
     if progress.stops() {
         return;
     }
-    let Some(certified) = explore::best(ends).map(|end| end.home.value()) else { return };
-    let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER);
-    let highest = higher.max_by(|a, b| a.home.value().total_cmp(&b.home.value()));
+    let Some(certified) = explore::best(ends).map(|end| end.iterate.value()) else { return };
+    let higher = ends.iter().filter(|end| end.iterate.value() > certified + MIN_RISE);
+    let highest = higher.max_by(|a, b| a.iterate.value().total_cmp(&b.iterate.value()));
     if let Some(start) = highest.map(SearchEnd::restart) {
         ends.extend(search::search(objective, start.into(), None, progress));
     }
@@ -102,45 +102,46 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
 
 /// The end, with small noise levels raised where any size up to some limit costs nothing: the noise of one row a test
 /// next to the variance of what it measures, say. With the level at zero, that variance would look known.
-fn off_level_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
+fn raise_free_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
     let is_unfelt = |s: usize| {
         let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
-        best.is_at_zero(s) || (is_open && best.joint.curvature(s).abs() < UNFELT)
+        best.is_at_zero(s) || (is_open && best.joint.curvature(s).abs() < MIN_INFORMATION)
     };
     let is_level = |s: usize| objective.coordinates[s].level.is_some();
-    let zeros: Vec<usize> = (0..best.standing.len()).filter(|&s| is_level(s) && is_unfelt(s)).take(FEW).collect();
+    let zeros: Vec<usize> =
+        (0..best.standing.len()).filter(|&s| is_level(s) && is_unfelt(s)).take(MAX_RAISED).collect();
     if best.stop != Stop::Certified || zeros.is_empty() || progress.stops() {
         return best;
     }
-    let near = Population::from(&best.home.estimate);
-    let least = best.home.value() - ROUNDING * best.home.value().abs().max(1.0);
+    let near = Population::from(&best.iterate.estimate);
+    let least = best.iterate.value() - ROUNDING * best.iterate.value().abs().max(1.0);
     let costs_nothing = |values: &[f64]| objective.solve(values, Some(&near)).is_ok_and(|there| there.value() >= least);
-    let mut raised = best.home.values.clone();
+    let mut raised = best.iterate.values.clone();
     for &s in &zeros {
-        let before = std::mem::replace(&mut raised[s], RAISED * best.before_zero[s].max(objective.units()[s]));
+        let before = std::mem::replace(&mut raised[s], RAISED_SIZE * best.before_zero[s].max(objective.units()[s]));
         if !costs_nothing(&raised) {
             raised[s] = before;
         }
     }
-    if raised == best.home.values {
+    if raised == best.iterate.values {
         return best;
     }
     let end = search::search(objective, raised.into(), None, progress).ok();
-    end.filter(|end| end.stop == Stop::Certified && end.home.value() >= least).unwrap_or(best)
+    end.filter(|end| end.stop == Stop::Certified && end.iterate.value() >= least).unwrap_or(best)
 }
 
 /// The fit at the best end, with the other ends, the extent of the exploration, and the levels with which ℓ is
 /// unbounded.
-fn finished(
+fn fit_at_end(
     objective: &ProfileLikelihood<'_>,
     best: SearchEnd,
     (others, explored, unbounded): (Vec<OtherEnd>, Explored, Vec<String>),
 ) -> Result<DynamicFit, DynamicError> {
     let (filter_passes, score_passes, passes) =
         (objective.filter_passes(), objective.score_passes(), objective.passes());
-    let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
+    let (alpha, sought) = (best.iterate.alpha.clone(), best.iterate.values.clone());
     let values = objective.values(&sought);
-    let (reductions, estimate) = objective.with_reductions(best.home)?;
+    let (reductions, estimate) = objective.with_reductions(best.iterate)?;
     Ok(DynamicFit {
         alpha,
         values,
@@ -158,7 +159,7 @@ fn finished(
         explored,
         unbounded,
         joint: best.joint,
-        standing: on_edges(objective, best.standing),
+        standing: mark_edges(objective, best.standing),
         settings: objective.settings.clone(),
         slots: objective.slots.clone(),
     })
@@ -167,11 +168,11 @@ fn finished(
 /// The best end of all searches as a start elsewhere; `None` where they all fail.
 pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
     let (ends, ..) = all_ends(objective, progress).ok()?;
-    chosen(&ends).map(|at| ends[at].restart())
+    best_end(&ends).map(|at| ends[at].restart())
 }
 
 /// The ends of the searches from all starts, and the first error of those that fail.
-fn searched(
+fn search_all_starts(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
 ) -> Result<(Vec<SearchEnd>, Option<DynamicError>), DynamicError> {
@@ -183,7 +184,7 @@ fn searched(
         progress.stage(Stage::Filters { filter_runs: objective.filter_passes() });
         match search::search(objective, start, floor, progress) {
             Ok(end) => {
-                floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
+                floor = Some(floor.map_or(end.iterate.value(), |floor: f64| floor.max(end.iterate.value())));
                 ends.push(end);
             }
             Err(error) => first_error = first_error.or(Some(error)),
@@ -193,10 +194,10 @@ fn searched(
 }
 
 /// Marks covariances of noises, and levels that a known covariance bounds, as on the edge where they stand at a bound.
-fn on_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<Standing> {
+fn mark_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<Standing> {
     let one = |(s, standing): (usize, Standing)| match standing {
         Standing::Lower | Standing::Upper if objective.edges.has(s) => Standing::Edge,
-        Standing::Lower if objective.cone.contains(&s) => Standing::Edge,
+        Standing::Lower if objective.lower_bounded.contains(&s) => Standing::Edge,
         other => other,
     };
     standing.into_iter().enumerate().map(one).collect()
@@ -204,13 +205,13 @@ fn on_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<S
 
 /// Index of the best certified end, of equals the first: an end that is not certified may be on its way to where ℓ has
 /// no bound. A certified end below the first start does not count.
-fn chosen(ends: &[SearchEnd]) -> Option<usize> {
+fn best_end(ends: &[SearchEnd]) -> Option<usize> {
     let highest = |among: &dyn Fn(&SearchEnd) -> bool| {
         let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
-        ends.reduce(|a, b| if b.1.home.value() > a.1.home.value() { b } else { a }).map(|(at, _)| at)
+        ends.reduce(|a, b| if b.1.iterate.value() > a.1.iterate.value() { b } else { a }).map(|(at, _)| at)
     };
     let begun = ends.first()?.trace.first().copied().unwrap_or(f64::NEG_INFINITY);
-    let above = |end: &SearchEnd| end.stop == Stop::Certified && end.home.value() >= begun - ROUNDING * begun.abs();
+    let above = |end: &SearchEnd| end.stop == Stop::Certified && end.iterate.value() >= begun - ROUNDING * begun.abs();
     highest(&above).or_else(|| highest(&|_| true))
 }
 
@@ -226,14 +227,19 @@ pub fn start_values(
     progress: &mut dyn Progress,
 ) -> Result<Vec<f64>, DynamicError> {
     let slots = Slots::in_phases(model, labels, tests);
-    refuse(model, tests, &slots, settings)?;
+    check_supported(model, tests, &slots, settings)?;
     let objective = ProfileLikelihood::new(model, tests, &slots, settings);
     let starts = start::starts(&objective, progress)?;
     starts.first().map(|first| objective.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
 }
 
 /// Refuses tests and settings that have no meaning while parameters are free.
-fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
+fn check_supported(
+    model: &PhasedModel,
+    tests: &[PhasedTest],
+    slots: &Slots,
+    settings: &Settings,
+) -> Result<(), DynamicError> {
     let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
     grouping(model, tests)?;
     if let (Some(slot), Combination::Marginal, false) =

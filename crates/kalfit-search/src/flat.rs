@@ -15,46 +15,46 @@ use kalfit_model::Population;
 /// Length of a step, in logarithms and in parts of a value.
 const STEP: f64 = 0.1;
 /// Fall of ℓ, in units of its rounding, that a step should reach: shorter steps are made longer.
-const SEEN: f64 = 100.0;
+const FALL_IN_ROUNDINGS: f64 = 100.0;
 /// Rounding of ℓ, relative to its size.
 const ROUNDING: f64 = 1e-13;
 /// Longest step, in standard errors.
-const FARTHEST: f64 = 0.1;
+const MAX_STANDARD_ERRORS: f64 = 0.1;
 /// Curvature, relative to that of each coordinate alone, that differences cannot distinguish from zero.
-const UNSURE: f64 = 1e-8;
+const UNRESOLVED_CURVATURE: f64 = 1e-8;
 /// Part of the expected curvature up to which a direction is flat.
-const PART: f64 = 0.05;
+const FLAT_PART: f64 = 0.05;
 /// Share of α in a direction above which it does not come from rounding: it may be this small for a mean that grows
 /// almost without bound together with a time constant.
-const TRACE: f64 = 1e-6;
+const MIN_SHARE: f64 = 1e-6;
 /// Standard error of a logarithm above which it is all but unknown.
-const LOST: f64 = 2.0;
+const UNKNOWN_ERROR: f64 = 2.0;
 /// Change of ℓ below which it may be rounding where measurements are nearly exact.
-const VISIBLE: f64 = 1e-6;
+const MIN_VISIBLE_CHANGE: f64 = 1e-6;
 /// Largest part of the variance that may be due to other directions: above it, ℓ says little about this one.
-const MOSTLY: f64 = 0.5;
+const MAX_OTHER_VARIANCE: f64 = 0.5;
 /// Distance from the top of a ridge, in standard errors, within which α is at the top.
-const TOP: f64 = 3e-2;
+const TOP_DISTANCE: f64 = 3e-2;
 /// Ratio of the falls of ℓ to the two sides below which ℓ falls evenly.
-const EVEN: f64 = 2.0;
+const MAX_FALL_RATIO: f64 = 2.0;
 /// Relative difference above which the curvature from the fall of ℓ replaces that from differences which are not faint.
-const OTHER: f64 = 0.5;
-/// Number of directions above which none is examined: each costs up to [`STEPS`] runs of the filters to either side.
-const MOST: usize = 8;
+const MIN_DEVIATION: f64 = 0.5;
+/// Number of directions above which none is examined: each costs up to [`MAX_STEPS`] runs of the filters to either side.
+const MAX_DIRECTIONS: usize = 8;
 /// Maximal number of steps to the top of a ridge.
-const STEPS: usize = 16;
+const MAX_STEPS: usize = 16;
 
 /// Eigenvalues of the information along faint or doubtful directions, from ℓ itself.
-pub fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<KnownEigenvalue> {
+pub fn examined_eigenvalues(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<KnownEigenvalue> {
     let is_looked_at = |direction: &InformationDirection| match direction.is_of_alpha() {
         true => is_doubtful(objective, direction),
-        false => direction.share > TRACE && direction.is_shaky(),
+        false => direction.share > MIN_SHARE && direction.may_be_rounding(),
     };
     let faint: Vec<InformationDirection> = fit.joint.directions().into_iter().filter(is_looked_at).collect();
-    if faint.len() > MOST {
+    if faint.len() > MAX_DIRECTIONS {
         return Vec::new();
     }
-    faint.iter().filter_map(|direction| told(objective, fit, direction)).collect()
+    faint.iter().filter_map(|direction| eigenvalue_along(objective, fit, direction)).collect()
 }
 
 /// The eigenvalue along a direction from ℓ itself, where that is better known than from differences.
@@ -63,44 +63,44 @@ pub fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Kno
 /// 1/p = r + v²/λ      p the curvature of ℓ where a component of α moves and all else follows, v the direction's part of it,
 ///                     r the variance that it has by the other directions
 /// ```
-fn told(
+fn eigenvalue_along(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     direction: &InformationDirection,
 ) -> Option<KnownEigenvalue> {
-    if let Some(curvature) = told_by_gradients(objective, fit, direction) {
+    if let Some(curvature) = curvature_by_gradients(objective, fit, direction) {
         return Some(direction.with(curvature));
     }
-    let beside = fit.joint.variances_beside(direction)?;
+    let beside = fit.joint.other_variances(direction)?;
     let Fall { length, least, mean, is_even, promised } = fall(objective, fit, direction)?;
-    let is_visible = |curvature: f64| 0.5 * curvature * length * length >= VISIBLE;
-    if least <= PART * promised && least * beside[0] <= PART && is_visible(beside[0].recip()) {
+    let is_visible = |curvature: f64| 0.5 * curvature * length * length >= MIN_VISIBLE_CHANGE;
+    if least <= FLAT_PART * promised && least * beside[0] <= FLAT_PART && is_visible(beside[0].recip()) {
         return Some(direction.with(0.0));
     }
     let curvature = of_direction(mean, beside).filter(|_| is_even && is_visible(mean) && direction.is_of_alpha())?;
-    let is_other = (curvature - direction.curvature).abs() > OTHER * direction.curvature.abs();
+    let is_other = (curvature - direction.curvature).abs() > MIN_DEVIATION * direction.curvature.abs();
     (direction.is_faint() || is_other).then(|| direction.with(curvature))
 }
 
 /// The curvature along a direction where gradients determine that of a ridge along it, and α is at its top.
-fn told_by_gradients(
+fn curvature_by_gradients(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     direction: &InformationDirection,
 ) -> Option<f64> {
-    if !direction.is_shaky() {
+    if !direction.may_be_rounding() {
         return None;
     }
     let near = Population::from(&fit.estimate);
     let start = RidgeStart { values: &fit.sought, near: &near, value: fit.estimate.log_likelihood, joint: &fit.joint };
-    let ridge = Ridge::new(objective, start, direction).filter(|ridge| ridge.score() < TOP)?;
+    let ridge = Ridge::new(objective, start, direction).filter(|ridge| ridge.score() < TOP_DISTANCE)?;
     of_direction(ridge.curvature, fit.joint.variances_of_most(direction)?)
 }
 
 /// The curvature along a direction, from v²/λ = 1/p - r; `None` where α varies as much along other directions, be they
 /// faint or resolved by differences.
 fn of_direction(curvature: f64, [by_known, by_faint]: [f64; 2]) -> Option<f64> {
-    let is_its_own = curvature * by_known < MOSTLY && curvature * by_faint < MOSTLY;
+    let is_its_own = curvature * by_known < MAX_OTHER_VARIANCE && curvature * by_faint < MAX_OTHER_VARIANCE;
     is_its_own.then(|| (curvature.recip() - by_known).recip())
 }
 
@@ -108,7 +108,7 @@ fn of_direction(curvature: f64, [by_known, by_faint]: [f64; 2]) -> Option<f64> {
 /// small for differences to resolve.
 fn is_doubtful(objective: &ProfileLikelihood<'_>, direction: &InformationDirection) -> bool {
     let is_lost = |(part, coordinate): (&f64, &Coordinate)| {
-        coordinate.log && part.abs() > LOST * direction.curvature.abs().sqrt()
+        coordinate.log && part.abs() > UNKNOWN_ERROR * direction.curvature.abs().sqrt()
     };
     direction.is_faint() || direction.alpha.iter().zip(&objective.coordinates).any(is_lost)
 }
@@ -127,7 +127,7 @@ struct Fall {
 /// Fall of ℓ along a direction; `None` where ℓ is not defined to both sides.
 fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &InformationDirection) -> Option<Fall> {
     let home = fit.estimate.log_likelihood;
-    let promised = direction.curvature.abs().max(UNSURE * own_curvature(fit, direction));
+    let promised = direction.curvature.abs().max(UNRESOLVED_CURVATURE * own_curvature(fit, direction));
     let length = length(objective, fit, direction, promised, home);
     let [one, other] = [length, -length].map(|length| {
         let values = objective.moved(&fit.sought, &direction.alpha, length);
@@ -137,7 +137,7 @@ fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &Informa
     let (one, other) = (one?, other?);
     // a ridge may end on one side, where a variance reaches zero
     let least = one.abs().min(other.abs());
-    let is_even = one > 0.0 && other > 0.0 && one.max(other) < EVEN * least;
+    let is_even = one > 0.0 && other > 0.0 && one.max(other) < MAX_FALL_RATIO * least;
     Some(Fall { length, least, mean: 0.5 * (one + other), is_even, promised })
 }
 
@@ -150,7 +150,7 @@ fn on_ridge(
 ) -> Option<f64> {
     let near = Population::from(&fit.estimate);
     let mut best: Option<f64> = None;
-    for _ in 0..STEPS {
+    for _ in 0..MAX_STEPS {
         let here = objective.solve(&values, Some(&near)).ok().filter(|here| here.value().is_finite())?;
         let is_still = best.is_some_and(|best| here.value() <= best + ROUNDING * best.abs());
         best = Some(best.map_or(here.value(), |best| best.max(here.value())));
@@ -179,6 +179,6 @@ fn length(
     };
     let moving = direction.alpha.iter().zip(&objective.coordinates).zip(&fit.sought).filter(|((d, _), _)| **d != 0.0);
     let short = moving.map(reach).fold(f64::INFINITY, f64::min);
-    let seen = (2.0 * SEEN * ROUNDING * home.abs().max(1.0) / curvature).sqrt();
-    short.max(seen).min(FARTHEST / curvature.sqrt())
+    let seen = (2.0 * FALL_IN_ROUNDINGS * ROUNDING * home.abs().max(1.0) / curvature).sqrt();
+    short.max(seen).min(MAX_STANDARD_ERRORS / curvature.sqrt())
 }

@@ -5,37 +5,37 @@
 //! must hold over their whole range.
 
 use crate::Standing;
-use crate::joint::{JointInformation, LEVEL_GROUND};
+use crate::joint::{FLAT_LOGARITHM, JointInformation};
 use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::scales::time_constants;
-use crate::search_state::{RISE, SearchState};
+use crate::search_state::{MIN_RISE, SearchState};
 
 /// Part of its former size that a level at zero gets where a derivative at zero is wanted.
-const TRACE: f64 = 1e-7;
+const DERIVATIVE_SIZE: f64 = 1e-7;
 /// Part of its former size that a level at zero gets where values that shape its noise are to have an effect.
-const FELT: f64 = 0.3;
+const EFFECT_SIZE: f64 = 0.3;
 /// Rise of ℓ, predicted for the former variance, above which a derivative at zero counts.
-const GAIN: f64 = 1e-7;
+const MIN_GAIN: f64 = 1e-7;
 /// Ratio of successive variances at which a level may return, beginning with its former one.
-const SMALLER: f64 = 0.125;
+const VARIANCE_RATIO: f64 = 0.125;
 /// Number of these variances that are tried in any case.
-const SIZES: i32 = 8;
+const MIN_SIZES: i32 = 8;
 /// Maximal number of these variances, where smaller ones still promise a rise.
-const MOST_SIZES: i32 = 24;
+const MAX_SIZES: i32 = 24;
 /// Values tried for a covariance, in parts of its bound.
-const PARTS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
+const TRIAL_CORRELATIONS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
 /// Slope of ℓ below which it counts as zero.
-const FLAT: f64 = 1e-9;
+const FLAT_SLOPE: f64 = 1e-9;
 /// Ratio of successive times that are tried for time constants without effect.
-const FACTOR: f64 = 2.0;
+const TIME_RATIO: f64 = 2.0;
 /// Shortest of these times, in lengths of a step.
-const PART: f64 = 0.05;
+const SHORTEST_TIME: f64 = 0.05;
 /// Longest of these times, in lengths of a test.
-const SPANS: f64 = 4.0;
+const LONGEST_TIME: f64 = 4.0;
 /// Maximal number of these times.
-const MOST_TIMES: usize = 40;
+const MAX_TIMES: usize = 40;
 /// Further times tried, in lengths of a test, at which the process is all but constant in a test.
-const FAR: [f64; 3] = [30.0, 1e3, 1e6];
+const LONG_TIMES: [f64; 3] = [30.0, 1e3, 1e6];
 
 /// New values, as (slot, value).
 type ChangedValues = Vec<(usize, f64)>;
@@ -45,7 +45,7 @@ type Derivative = (f64, usize, ChangedValues);
 
 impl SearchState<'_, '_> {
     /// Lets a level at zero return where ℓ rises with its variance, for some shape of its noise.
-    pub(super) fn revived(&mut self, joint: &JointInformation) -> bool {
+    pub(super) fn reactivate_levels(&mut self, joint: &JointInformation) -> bool {
         let mut zeros = self.zeros();
         zeros.retain(|&s| self.objective.coordinates[s].lower == 0.0 && self.held != Some(s));
         if zeros.is_empty() {
@@ -60,40 +60,45 @@ impl SearchState<'_, '_> {
         }
         let best = |s: usize| found.iter().filter(|(_, level, _)| *level == s).max_by(|a, b| a.0.total_cmp(&b.0));
         let mut promising: Vec<Derivative> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
-        promising.retain(|(gain, ..)| *gain > GAIN);
+        promising.retain(|(gain, ..)| *gain > MIN_GAIN);
         promising.sort_by(|a, b| b.0.total_cmp(&a.0));
-        promising.into_iter().any(|(gain, s, shape)| self.returns(s, gain, &shape)) || self.crosses_back(&zeros)
+        promising.into_iter().any(|(gain, s, shape)| self.reactivate(s, gain, &shape))
+            || self.reactivate_with_covariance(&zeros)
     }
 
     /// Lets a noise return together with its free covariance to another: the covariance grows as the level itself, so
     /// that ℓ has a slope in the level that no derivative in its variance shows.
-    fn crosses_back(&mut self, zeros: &[usize]) -> bool {
+    fn reactivate_with_covariance(&mut self, zeros: &[usize]) -> bool {
         let crossed = |&s: &usize| {
             let parameter = self.objective.slots.slots()[s].parameter;
-            self.objective.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
+            self.objective
+                .edges
+                .beside(parameter)
+                .into_iter()
+                .flat_map(move |t| TRIAL_CORRELATIONS.map(|part| (s, vec![(t, part)])))
         };
         let ways: Vec<(usize, ChangedValues)> = zeros.iter().flat_map(crossed).collect();
-        ways.into_iter().any(|(s, shape)| self.returns(s, 0.0, &shape))
+        ways.into_iter().any(|(s, shape)| self.reactivate(s, 0.0, &shape))
     }
 
     /// Returns a level from zero at the largest size at which ℓ is higher than at zero. `gain`: the predicted rise for
     /// its former variance, proportionally less for a smaller one.
-    fn returns(&mut self, s: usize, gain: f64, shape: &ChangedValues) -> bool {
+    fn reactivate(&mut self, s: usize, gain: f64, shape: &ChangedValues) -> bool {
         let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
-        let is_worth = |size: &i32| *size < SIZES || gain * SMALLER.powi(*size) > RISE;
-        for size in (0..MOST_SIZES).take_while(is_worth) {
-            let mut values = self.home.values.clone();
+        let is_worth = |size: &i32| *size < MIN_SIZES || gain * VARIANCE_RATIO.powi(*size) > MIN_RISE;
+        for size in (0..MAX_SIZES).take_while(is_worth) {
+            let mut values = self.iterate.values.clone();
             shape.iter().for_each(|&(t, value)| values[t] = value);
-            let value = self.before_zero[s] * SMALLER.powi(size).powf(exponent.recip());
-            values[s] = value.clamp(self.bottom[s], self.objective.coordinates[s].upper);
-            if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
-                self.home = next;
+            let value = self.before_zero[s] * VARIANCE_RATIO.powi(size).powf(exponent.recip());
+            values[s] = value.clamp(self.lower_limit[s], self.objective.coordinates[s].upper);
+            if let Some(next) = self.at(&values).filter(|next| next.value() > self.iterate.value() + MIN_RISE) {
+                self.iterate = next;
                 // the time constants of the reactivated noise can move again
                 let idle = |standing: &&mut Standing| **standing == Standing::Unidentified;
                 self.standing.iter_mut().filter(idle).for_each(|standing| *standing = Standing::Inside);
-                self.drifted.fill(false);
+                self.marked_unbounded.fill(false);
                 self.standing[s] = Standing::Inside;
-                self.place();
+                self.update_standing();
                 return true;
             }
         }
@@ -101,7 +106,7 @@ impl SearchState<'_, '_> {
     }
 
     fn at_zero(&self) -> AtZero<'_> {
-        AtZero { objective: self.objective, home: &self.home, before_zero: &self.before_zero }
+        AtZero { objective: self.objective, iterate: &self.iterate, before_zero: &self.before_zero }
     }
 
     /// Shapes of noises whose levels are at zero: the present one, and values without effect over their ranges.
@@ -118,11 +123,17 @@ impl SearchState<'_, '_> {
                 times.iter().map(|&t| (t, within(t))).collect()
             };
             let scales = self.objective.scales();
-            all.extend(scales.range(PART, SPANS, FACTOR).take(MOST_TIMES).chain(scales.beyond(FAR)).map(at));
+            all.extend(
+                scales
+                    .range(SHORTEST_TIME, LONGEST_TIME, TIME_RATIO)
+                    .take(MAX_TIMES)
+                    .chain(scales.beyond(LONG_TIMES))
+                    .map(at),
+            );
         }
         let few: Vec<ChangedValues> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
         for t in others {
-            for value in self.objective.coordinates[t].spread(self.home.values[t]) {
+            for value in self.objective.coordinates[t].spread(self.iterate.values[t]) {
                 all.extend(few.iter().map(|shape| {
                     let mut shape = shape.clone();
                     shape.push((t, value));
@@ -140,8 +151,8 @@ impl SearchState<'_, '_> {
         let mut tops = Vec::new();
         for around in own.windows(3) {
             let [(before, _, shorter), (gain, _, shape), (after, _, longer)] = around else { continue };
-            let is_top = gain >= before && gain >= after && *gain <= GAIN && (before < gain || after < gain);
-            let [Some(short), Some(time), Some(long)] = [shorter, shape, longer].map(alone) else {
+            let is_top = gain >= before && gain >= after && *gain <= MIN_GAIN && (before < gain || after < gain);
+            let [Some(short), Some(time), Some(long)] = [shorter, shape, longer].map(common_time) else {
                 continue;
             };
             if !is_top || short >= time || time >= long {
@@ -159,25 +170,26 @@ impl SearchState<'_, '_> {
     /// Values along which ℓ does not change at all.
     fn idle(&self, joint: &JointInformation) -> Vec<usize> {
         let flat = |t: &usize| {
-            let level_ground = self.home.gradient[*t].abs() < FLAT && joint.curvature(*t).abs() < LEVEL_GROUND;
+            let level_ground =
+                self.iterate.gradient[*t].abs() < FLAT_SLOPE && joint.curvature(*t).abs() < FLAT_LOGARITHM;
             level_ground && !self.is_at_zero(*t) && self.held != Some(*t)
         };
-        (0..self.home.values.len()).filter(flat).collect()
+        (0..self.iterate.values.len()).filter(flat).collect()
     }
 
     /// Marks values that have no effect while levels are zero, as opposed to those that ℓ never depends on.
-    pub(super) fn name_idle(&mut self, joint: &JointInformation) {
+    pub(super) fn mark_idle(&mut self, joint: &JointInformation) {
         let zeros = self.zeros();
         let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
         let idle: Vec<usize> = self.idle(joint).into_iter().filter(is_open).collect();
         if zeros.is_empty() || idle.is_empty() {
             return;
         }
-        let mut values = self.home.values.clone();
-        zeros.iter().for_each(|&s| values[s] = values[s].max(FELT * self.before_zero[s]));
-        let Some(at) = self.objective.shift(&self.home, &values) else { return };
+        let mut values = self.iterate.values.clone();
+        zeros.iter().for_each(|&s| values[s] = values[s].max(EFFECT_SIZE * self.before_zero[s]));
+        let Some(at) = self.objective.shift(&self.iterate, &values) else { return };
         let gradient = self.objective.gradient(&values, &at.tests.scores, &at.matrix);
-        idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
+        idle.into_iter().filter(|&t| gradient[t].abs() > FLAT_SLOPE).for_each(|t| self.standing[t] = Standing::Idle);
     }
 }
 
@@ -185,18 +197,18 @@ impl SearchState<'_, '_> {
 #[derive(Clone, Copy)]
 struct AtZero<'s> {
     objective: &'s ProfileLikelihood<'s>,
-    home: &'s ProfilePoint,
+    iterate: &'s ProfilePoint,
     before_zero: &'s [f64],
 }
 
 impl AtZero<'_> {
     /// ∂ℓ/∂v at v = 0 for each of some levels, times its former variance, with another shape of the noises.
     fn derivatives(self, zeros: &[usize], shape: &ChangedValues) -> Vec<Derivative> {
-        let AtZero { objective, home, before_zero } = self;
-        let mut values = home.values.clone();
+        let AtZero { objective, iterate, before_zero } = self;
+        let mut values = iterate.values.clone();
         shape.iter().for_each(|&(t, value)| values[t] = value);
-        zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * before_zero[s]));
-        let Some(at) = objective.shift(home, &values) else { return Vec::new() };
+        zeros.iter().for_each(|&s| values[s] = values[s].max(DERIVATIVE_SIZE * before_zero[s]));
+        let Some(at) = objective.shift(iterate, &values) else { return Vec::new() };
         let gradient = objective.gradient(&values, &at.tests.scores, &at.matrix);
         let derivative = |&s: &usize| {
             let exponent = objective.coordinates[s].level.unwrap_or(1.0);
@@ -208,7 +220,7 @@ impl AtZero<'_> {
 }
 
 /// The time that all entries of a shape have in common; `None` if there is none.
-fn alone(shape: &ChangedValues) -> Option<f64> {
+fn common_time(shape: &ChangedValues) -> Option<f64> {
     let (_, time) = *shape.first()?;
     shape.iter().all(|(_, other)| *other == time).then_some(time)
 }

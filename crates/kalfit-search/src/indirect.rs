@@ -16,9 +16,9 @@ use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
 /// Number of lengths tried for a step that leaves the model's domain.
-const TRIES: usize = 4;
+const MAX_TRIALS: usize = 4;
 /// Factor by which such a step is shortened each time.
-const SHORTER: f64 = 0.1;
+const SHORTENING: f64 = 0.1;
 /// Weights of ℓ at -2, -1, 1 and 2 steps.
 pub(super) const WEIGHTS: [(f64, f64); 4] =
     [(-2.0, 1.0 / 12.0), (-1.0, -8.0 / 12.0), (1.0, 8.0 / 12.0), (2.0, -1.0 / 12.0)];
@@ -121,7 +121,7 @@ pub(super) fn moved<T>(
 ) -> Result<(Vec<T>, BTreeMap<usize, f64>), ReduceError> {
     let mut part = 1.0;
     let mut last = None;
-    for _ in 0..TRIES {
+    for _ in 0..MAX_TRIALS {
         let step = |&s: &usize| {
             let size = if values[s] != 0.0 { values[s].abs() } else { 1.0 };
             (s, part * STEP * size)
@@ -136,7 +136,7 @@ pub(super) fn moved<T>(
             Ok(moved) => return Ok((moved, steps)),
             Err(error) => last = Some(error),
         }
-        part *= SHORTER;
+        part *= SHORTENING;
     }
     Err(last.expect("there was a try"))
 }

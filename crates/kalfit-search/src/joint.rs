@@ -13,27 +13,27 @@ use crate::coordinates::in_variance;
 use crate::covariances::ValueCovariances;
 use crate::differences::Differences;
 use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint, SecondDerivatives};
-use crate::touching::Touching;
+use crate::sparsity::JacobianSparsity;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{NEGLIGIBLE_INFORMATION, NoiseInformation, Tangent};
 
 /// Number of values up to which values of single tests are not eliminated test by test.
-const DENSE: usize = 24;
+const DENSE_VALUES: usize = 24;
 /// Size of the slope and the curvature of a logarithm below which these count as zero.
-pub(crate) const LEVEL_GROUND: f64 = 1e-7;
+pub(crate) const FLAT_LOGARITHM: f64 = 1e-7;
 /// Scaled information along a direction below which ℓ itself is evaluated on both sides.
-const FAINT: f64 = 1e-5;
+const FAINT_EIGENVALUE: f64 = 1e-5;
 /// Scaled information along a direction below which the result of differences may be rounding.
-const SHAKY: f64 = 1e-6;
+const ROUNDING_EIGENVALUE: f64 = 1e-6;
 /// Scaled eigenvalue of the information up to which a direction is flat.
-pub(crate) const FLAT: f64 = 1e-10;
+pub(crate) const FLAT_EIGENVALUE: f64 = 1e-10;
 /// Component of a unit direction, in coordinates of unit curvature, above which a coordinate takes part in it.
-pub(crate) const TAKES_PART: f64 = 1e-3;
+pub(crate) const MIN_COMPONENT: f64 = 1e-3;
 /// Curvature along a factor of Σ, in units of the largest remaining score, up to which it may come from that score
 /// alone.
-const BEND: f64 = 10.0;
+const MAX_SCORE_CURVATURE: f64 = 10.0;
 /// Score along that factor, in units of its standard error, up to which such a curvature is discarded.
-const STILL: f64 = 1e-9;
+const MAX_REMAINING_SCORE: f64 = 1e-9;
 
 /// The information in coordinates of α and along the tangent basis of (μ, Σ).
 #[derive(Debug, Clone)]
@@ -82,28 +82,28 @@ pub(crate) struct InformationDirection {
 
 impl InformationDirection {
     /// Eigenvalue that this curvature along the direction gives.
-    pub(crate) fn of_curvature(&self, curvature: f64) -> f64 {
+    pub(crate) fn eigenvalue_of(&self, curvature: f64) -> f64 {
         self.unit * curvature
     }
 
     /// Whether α takes part in the direction.
     pub(crate) fn is_of_alpha(&self) -> bool {
-        self.share > TAKES_PART
+        self.share > MIN_COMPONENT
     }
 
     /// Whether differences hardly resolve the curvature.
     pub(crate) fn is_faint(&self) -> bool {
-        self.of_curvature(self.curvature).abs() < FAINT
+        self.eigenvalue_of(self.curvature).abs() < FAINT_EIGENVALUE
     }
 
     /// Whether all of the curvature may be rounding.
-    pub(crate) fn is_shaky(&self) -> bool {
-        self.of_curvature(self.curvature).abs() < SHAKY
+    pub(crate) fn may_be_rounding(&self) -> bool {
+        self.eigenvalue_of(self.curvature).abs() < ROUNDING_EIGENVALUE
     }
 
     /// The eigenvalue for another curvature along the direction.
     pub(crate) fn with(&self, curvature: f64) -> KnownEigenvalue {
-        KnownEigenvalue { number: self.number, value: self.of_curvature(curvature), share: self.share }
+        KnownEigenvalue { number: self.number, value: self.eigenvalue_of(curvature), share: self.share }
     }
 }
 
@@ -121,22 +121,25 @@ impl JointInformation {
     /// accurate to about 1e-7.
     pub(crate) fn new(
         objective: &ProfileLikelihood<'_>,
-        home: &ProfilePoint,
+        iterate: &ProfilePoint,
         active: &[bool],
         central: bool,
     ) -> JointInformation {
-        let n = home.values.len();
-        let inner = informed(&home.estimate.state.newton_iterate.tangent);
+        let n = iterate.values.len();
+        let inner = inner_information(&iterate.estimate.state.newton_iterate.tangent);
         let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
-        let tests = match &home.second_derivatives {
+        let tests = match &iterate.second_derivatives {
             SecondDerivatives::Tests(tests) => tests,
             SecondDerivatives::Scale(exact) => {
-                return JointInformation::of_scale(exact, list, inner).without_flat(objective, home);
+                return JointInformation::of_scale(exact, list, inner).without_flat(objective, iterate);
             }
         };
-        let touching = Touching::of(objective, tests, n);
+        let touching = JacobianSparsity::of(objective, tests, n);
         let alone = |s: usize| {
-            !objective.is_elsewhere() && list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s]
+            !objective.is_elsewhere()
+                && list.len() > DENSE_VALUES
+                && touching.tests[s].len() == 1
+                && !touching.matrix[s]
         };
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
@@ -149,13 +152,13 @@ impl JointInformation {
             inner,
         };
         let colours = touching.colours(&joint.active, objective.restricted());
-        let differences = Differences { objective, home, touching: &touching, central };
+        let differences = Differences { objective, iterate, touching: &touching, central };
         for columns in objective.together(|| objective.each(&colours, |colour| differences.columns(colour))) {
             joint.own.extend(columns.own);
             columns.cross.into_iter().for_each(|(s, row)| joint.cross.set_row(s, &row));
         }
-        joint.mirror();
-        joint.without_flat(objective, home)
+        joint.symmetrise();
+        joint.without_flat(objective, iterate)
     }
 
     /// The information of a value that scales all noise, which needs no differences.
@@ -166,13 +169,13 @@ impl JointInformation {
     }
 
     /// Removes logarithms along which ℓ has neither slope nor curvature: what differences give for them is rounding.
-    fn without_flat(mut self, objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> JointInformation {
+    fn without_flat(mut self, objective: &ProfileLikelihood<'_>, iterate: &ProfilePoint) -> JointInformation {
         let flat = |s: usize| {
             objective.coordinates[s].log
-                && self.entry(s, s).abs() < LEVEL_GROUND
-                && home.gradient[s].abs() < LEVEL_GROUND
+                && self.entry(s, s).abs() < FLAT_LOGARITHM
+                && iterate.gradient[s].abs() < FLAT_LOGARITHM
         };
-        let kept: Vec<bool> = (0..home.values.len()).map(|s| !flat(s)).collect();
+        let kept: Vec<bool> = (0..iterate.values.len()).map(|s| !flat(s)).collect();
         self.active.retain(|&s| kept[s]);
         self.shared.retain(|&s| kept[s]);
         self.private.iter_mut().for_each(|block| block.retain(|&s| kept[s]));
@@ -262,11 +265,11 @@ impl JointInformation {
     /// Newton's step with Levenberg's damping, in coordinates of unit curvature; a curvature of the wrong sign is
     /// replaced by its absolute value.
     pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> JointStep {
-        self.step_beside(gradient, inner, damping, &[])
+        self.step_with_pinned(gradient, inner, damping, &[])
     }
 
     /// Newton's step while some shared values make given steps, (slot, step).
-    pub(crate) fn step_beside(
+    pub(crate) fn step_with_pinned(
         &self,
         gradient: &[f64],
         inner: &DVector<f64>,
@@ -321,12 +324,12 @@ impl JointInformation {
     /// Newton's step in shared values, restricted to be across this direction; flat directions are left out. `None`
     /// where some value belongs to a single test.
     pub(crate) fn onto_ridge(&self, along: &[f64], gradient: &[f64]) -> Option<Vec<f64>> {
-        let (followed, scale, ridge) = self.ridge(along)?;
+        let (profile_information, scale, ridge) = self.ridge(along)?;
         let (n, ridge) = (scale.len(), ridge.normalize());
         let across = DMatrix::identity(n, n) - &ridge * ridge.transpose();
-        let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * followed[(i, k)] * scale[k]);
+        let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * profile_information[(i, k)] * scale[k]);
         let (values, vectors) = symmetric::eigen(&(&across * scaled * &across));
-        let turned = values.iter().map(|&value| if value > FAINT { value.recip() } else { 0.0 });
+        let turned = values.iter().map(|&value| if value > FAINT_EIGENVALUE { value.recip() } else { 0.0 });
         let inverse = symmetric::by_eigenvectors(&vectors, turned);
         let own = DVector::from_fn(n, |i, _| scale[i] * gradient[self.shared[i]]);
         let step = &across * (inverse * (&across * own));
@@ -338,15 +341,15 @@ impl JointInformation {
     /// Profile information of the shared values, the scale that brings it to a unit diagonal, and the direction in that
     /// scale.
     fn ridge(&self, along: &[f64]) -> Option<(DMatrix<f64>, Vec<f64>, DVector<f64>)> {
-        let followed = self.followed()?;
-        let scale: Vec<f64> = symmetric::sizes(&followed).into_iter().map(f64::recip).collect();
+        let profile_information = self.profile_information()?;
+        let scale: Vec<f64> = symmetric::sizes(&profile_information).into_iter().map(f64::recip).collect();
         let ridge = DVector::from_fn(scale.len(), |i, _| along[self.shared[i]] / scale[i]);
-        Some((followed, scale, ridge))
+        Some((profile_information, scale, ridge))
     }
 
     /// Variance of the combination of α that [`onto_ridge`](Self::onto_ridge) holds, due to the other eigenvectors: to
     /// those that differences resolve, and to the faint ones. `None` where some value belongs to a single test.
-    pub(crate) fn variances_beside(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
+    pub(crate) fn other_variances(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let (_, units, ridge) = self.ridge(&direction.alpha)?;
         let weights: Vec<f64> = ridge.iter().zip(&units).map(|(own, unit)| own / unit / ridge.norm_squared()).collect();
         Some(self.variances_of(&weights, direction))
@@ -359,13 +362,14 @@ impl JointInformation {
         let part = |k: usize| -> f64 { weights.iter().enumerate().map(|(i, w)| w * scale[i] * vectors[(i, k)]).sum() };
         let mut variances = [0.0; 2];
         for k in (0..values.len()).filter(|&k| k != but.number) {
-            variances[usize::from(values[k].abs() < FAINT)] += part(k).powi(2) / values[k].abs().max(FLAT);
+            variances[usize::from(values[k].abs() < FAINT_EIGENVALUE)] +=
+                part(k).powi(2) / values[k].abs().max(FLAT_EIGENVALUE);
         }
         variances
     }
 
     /// Index of the shared value with the largest component in a direction, in coordinates of unit curvature.
-    fn most_of(&self, along: &[f64]) -> Option<usize> {
+    fn largest_component(&self, along: &[f64]) -> Option<usize> {
         let size = |i: usize| along[self.shared[i]].abs() * self.curvature(self.shared[i]).abs().sqrt();
         (0..self.shared.len()).max_by(|&i, &k| size(i).total_cmp(&size(k)))
     }
@@ -373,7 +377,7 @@ impl JointInformation {
     /// Variance of the value with the largest component in a direction, in steps along that direction, due to the other
     /// eigenvectors: to those that differences resolve, and to the faint ones.
     pub(crate) fn variances_of_most(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
-        let most = self.most_of(&direction.alpha)?;
+        let most = self.largest_component(&direction.alpha)?;
         let mut weights = vec![0.0; self.shared.len()];
         weights[most] = direction.alpha[self.shared[most]].recip();
         Some(self.variances_of(&weights, direction))
@@ -381,20 +385,20 @@ impl JointInformation {
 
     /// Curvature along a direction that is lost where all values but its largest component adapt: b'H⁻¹b among those
     /// values, b = -∂²ℓ along the direction and each value. `None` where some value belongs to a single test.
-    pub(crate) fn left_by_others(&self, along: &[f64], bends: &[f64]) -> Option<f64> {
-        let (followed, held) = (self.followed()?, self.most_of(along)?);
-        let others = followed.remove_row(held).remove_column(held);
+    pub(crate) fn curvature_lost(&self, along: &[f64], bends: &[f64]) -> Option<f64> {
+        let (profile_information, held) = (self.profile_information()?, self.largest_component(along)?);
+        let others = profile_information.remove_row(held).remove_column(held);
         let of = |i: usize| bends[self.shared[if i < held { i } else { i + 1 }]];
         let (scale, values, vectors) = scaled_eigen(&others);
         let scaled = DVector::from_fn(scale.len(), |i, _| scale[i] * of(i));
         let parts = vectors.transpose() * scaled;
-        let known = values.iter().zip(&parts).filter(|(value, _)| **value > FAINT);
+        let known = values.iter().zip(&parts).filter(|(value, _)| **value > FAINT_EIGENVALUE);
         Some(known.map(|(value, part)| part * part / value).sum())
     }
 
     /// Profile information of the shared values, (μ, Σ) following them; `None` where some value belongs to a single
     /// test.
-    pub(crate) fn followed(&self) -> Option<DMatrix<f64>> {
+    pub(crate) fn profile_information(&self) -> Option<DMatrix<f64>> {
         if !self.private.is_empty() {
             return None;
         }
@@ -427,11 +431,11 @@ impl JointInformation {
     /// Covariances of all coordinates: the inverse of the information, flat directions left out.
     #[cfg(test)]
     pub(crate) fn covariances(&self) -> ValueCovariances {
-        self.covariances_beside(&[])
+        self.covariances_with(&[])
     }
 
     /// Covariances of all coordinates, with these eigenvalues in place of those from differences.
-    pub fn covariances_beside(&self, known: &[KnownEigenvalue]) -> ValueCovariances {
+    pub fn covariances_with(&self, known: &[KnownEigenvalue]) -> ValueCovariances {
         let mut covariances = self.shared_covariances(&self.information(), known);
         for block in &self.private {
             let (own, flat, _) = inverse(&self.block(block), (&[], 0));
@@ -462,7 +466,7 @@ impl JointInformation {
 
     /// Completes entries on both sides of the diagonal: where a value stands in matrices of the structures only, its
     /// column has no entries for values of the tests, but their columns have one for it.
-    fn mirror(&mut self) {
+    fn symmetrise(&mut self) {
         for ((s, t), value) in self.own.clone() {
             self.own.entry((t, s)).or_insert(value);
         }
@@ -485,7 +489,8 @@ pub(crate) fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>) -> Option<D
 pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
     let (scale, values, vectors) = scaled_eigen(matrix);
     let positive = values.iter().all(|v| *v > -1e-6);
-    let turned = values.iter().map(|v| if v.abs() > FLAT { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
+    let turned =
+        values.iter().map(|v| if v.abs() > FLAT_EIGENVALUE { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
     let inverse = symmetric::by_eigenvectors(&vectors, turned);
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
@@ -501,11 +506,11 @@ fn inverse(
     let n = scale.len();
     known.iter().for_each(|known| values[known.number] = known.value);
     let is_known = |k: usize| known.iter().any(|known| known.number == k && known.value > 0.0);
-    let is_flat = |k: usize| values[k] <= FLAT && !is_known(k);
+    let is_flat = |k: usize| values[k] <= FLAT_EIGENVALUE && !is_known(k);
     let mut flat: Vec<bool> = scale.iter().map(|s| *s == 0.0).collect();
     let takes_part = |i: usize, k: usize| {
         let own = known.iter().find(|known| known.number == k && i < of_alpha);
-        vectors[(i, k)].abs() > TAKES_PART * own.map_or(1.0, |known| known.share)
+        vectors[(i, k)].abs() > MIN_COMPONENT * own.map_or(1.0, |known| known.share)
     };
     for k in (0..n).filter(|&k| is_flat(k)) {
         (0..n).filter(|&i| takes_part(i, k)).for_each(|i| flat[i] = true);
@@ -530,14 +535,16 @@ fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
 
 /// The information along the tangent basis, without coordinates that the tests do not inform: remainders of rounding,
 /// and the curvature of Σ = FF' that comes from the remaining score.
-fn informed(tangent: &Tangent) -> DMatrix<f64> {
+fn inner_information(tangent: &Tangent) -> DMatrix<f64> {
     let n = tangent.sizes.len();
     let of = |i: usize| (tangent.information[(i, i)].abs(), tangent.gradient[i].abs(), tangent.sizes[i]);
     let own = |i: usize| of(i).0 * tangent.sizes[i].powi(2);
     let largest = (0..n).map(own).fold(0.0, f64::max);
     let of_sigma = tangent.mean..n;
     let left = of_sigma.clone().map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
-    let is_bend = |i: usize| of_sigma.contains(&i) && own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
+    let is_bend = |i: usize| {
+        of_sigma.contains(&i) && own(i) <= MAX_SCORE_CURVATURE * left && of(i).1 <= MAX_REMAINING_SCORE * of(i).0.sqrt()
+    };
     // a mean that does not vary between tests has no size to compare with much larger variances
     let largest_mean = (0..tangent.mean).map(|i| of(i).0).fold(0.0, f64::max);
     let is_mean = |i: usize| i < tangent.mean && of(i).0 > NEGLIGIBLE_INFORMATION * largest_mean;

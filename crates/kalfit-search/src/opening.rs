@@ -1,8 +1,8 @@
 //! Start of a search whose tests are in several places: the combined suggestions of all places.
 
+use crate::exchangeable::ordered;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::sample::sample;
-use crate::twins::ordered;
 use crate::{Coordinate, Settings, fit, start};
 use kalfit_estimate::Progress;
 use kalfit_model::PhasedTest;
@@ -10,7 +10,7 @@ use kalfit_model::{PhasedModel, Slots};
 
 /// Ratio of a start value to the size that the data suggest, up or down, beyond which the value is not combined with
 /// those of other places.
-const FAR: f64 = 1e4;
+const MAX_RATIO: f64 = 1e4;
 
 /// The answer of one place to [`Question::Opening`](kalfit_model::remote::Question::Opening): its number of tests, and that many times the
 /// coordinate of each start value and the logarithm of each size.
@@ -23,7 +23,7 @@ pub fn opening(
     let objective = ProfileLikelihood::new(model, tests, slots, settings);
     let count = tests.len() as f64;
     let units = objective.units();
-    let farthest = if start::all_given(&objective) { f64::INFINITY } else { FAR };
+    let farthest = if start::all_given(&objective) { f64::INFINITY } else { MAX_RATIO };
     let start = |(s, value): (usize, f64)| {
         let (coordinate, unit) = (&objective.coordinates[s], units[s]);
         let is_far = coordinate.log && (value <= 0.0 || value / unit > farthest || unit / value > farthest);

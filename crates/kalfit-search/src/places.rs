@@ -1,29 +1,29 @@
 //! Candidate starts from which a search may reach another maximum than the known one: another part of the model may
 //! explain the same variation.
 
-use crate::crossed::CrossedNoise;
+use crate::exchangeable::ExchangeablePair;
+use crate::noise_transfer::NoiseTransfer;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::scales;
 use crate::scales::time_constants;
 use crate::search_state::SearchEnd;
-use crate::tries::{FACTOR, best_of, longer, other_maxima};
-use crate::twins::ExchangeablePair;
+use crate::tries::{TRIAL_FACTOR, best_of, longer, other_maxima};
 use kalfit_estimate::Progress;
 
 /// Values tried for a covariance of noises, in parts of its bound.
-const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
+const TRIAL_CORRELATIONS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
 /// Distance from the present part above which such a value is tried.
-const APART: f64 = 0.4;
+const MIN_DISTANCE: f64 = 0.4;
 /// Difference up to which two values of ℓ count as equal.
-const LEVEL: f64 = 1e-3;
+const EQUAL_VALUE: f64 = 1e-3;
 /// Change of ℓ, at a quarter of its time constant, up to which a process is white.
-const WHITE: f64 = 1e-6;
+const WHITE_LOSS: f64 = 1e-6;
 /// Change of ℓ, at a quarter of its time constant, up to which a process may be noise of a measurement.
-const NEARLY: f64 = 0.1;
+const NEARLY_WHITE_LOSS: f64 = 0.1;
 /// Number of shapes that are followed where two coinciding processes are separated.
-const APART_TRIED: usize = 3;
+const MAX_SEPARATED: usize = 3;
 /// Sizes tried for levels at zero, in units of the size that the data suggest.
-const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
+const TRIAL_SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
 /// Candidate starts about an end, in common values except the one that is held.
 pub(super) fn places(
@@ -32,12 +32,12 @@ pub(super) fn places(
     held: Option<usize>,
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
-    let values = &end.home.values;
+    let values = &end.iterate.values;
     let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
     for twins in &objective.twins {
         let Some(one) = twins.merged(values, &objective.coordinates) else { continue };
         all.push(one.clone());
-        all.extend(set_apart(objective, &one, twins, progress));
+        all.extend(separated_pair(objective, &one, twins, progress));
         bases.push(one);
     }
     let is_level = |s: &usize| {
@@ -48,43 +48,46 @@ pub(super) fn places(
     let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
     let is_timed = !time_constants(objective.model).is_empty();
     for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(objective, s)) {
-        all.push(without(values, s));
+        all.push(with_zero(values, s));
     }
     for t in (0..values.len()).filter(|&t| objective.edges.has(t) && held != Some(t)) {
-        all.extend(other_parts(values, t));
+        all.extend(other_correlations(values, t));
     }
-    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(objective, s) && is_crossed(objective, s)) {
-        all.push(without(values, s));
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(objective, s) && has_free_covariance(objective, s))
+    {
+        all.push(with_zero(values, s));
     }
     let is_open = |parameter: &usize| objective.slots.common(*parameter).is_some_and(|s| held != Some(s));
     let timed: Vec<usize> = time_constants(objective.model).into_iter().filter(is_open).collect();
-    let [white, nearly_white] = all_but_white(objective, end, &timed);
+    let [white, nearly_white] = white_processes(objective, end, &timed);
     let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
-    all.extend(given_back(objective, end, &levels));
-    all.extend(held.and_then(|t| left_to_noise(objective, end, (t, &timed), progress)));
-    all.extend(given_up(objective, values, (&levels, &nearly_white), &exchanges));
+    all.extend(returned_to_noise(objective, end, &levels));
+    all.extend(held.and_then(|t| held_level_as_measurement_noise(objective, end, (t, &timed), progress)));
+    all.extend(process_to_noise(objective, values, (&levels, &nearly_white), &exchanges));
     for &s in &levels {
         all.extend(sizes(objective, end, (s, objective.units()[s])));
     }
     for parameter in timed {
         all.extend(other_maxima(objective, parameter, values, progress));
         if white.contains(&parameter) {
-            all.extend(less_white(objective, end, parameter, progress));
+            all.extend(lengthened_process(objective, end, parameter, progress));
         }
         for base in &bases {
             all.extend(
-                levels.iter().filter_map(|&s| taken_over(objective, (base, end.home.value()), s, parameter, progress)),
+                levels
+                    .iter()
+                    .filter_map(|&s| noise_to_process(objective, (base, end.iterate.value()), s, parameter, progress)),
             );
         }
     }
     all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
-    all.extend(all_times(objective, values));
+    all.extend(scaled_times(objective, values));
     // a candidate must not move the value that is held
-    each_once(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
+    deduplicated(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
 }
 
 /// The points in their order, each once.
-pub(super) fn each_once(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
+pub(super) fn deduplicated(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
     let mut all: Vec<Vec<f64>> = Vec::new();
     for place in places {
         if !all.contains(&place) {
@@ -95,23 +98,23 @@ pub(super) fn each_once(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>>
 }
 
 /// The values with one level set to zero.
-fn without(values: &[f64], s: usize) -> Vec<f64> {
-    let mut without = values.to_vec();
-    without[s] = 0.0;
-    without
+fn with_zero(values: &[f64], s: usize) -> Vec<f64> {
+    let mut with_zero = values.to_vec();
+    with_zero[s] = 0.0;
+    with_zero
 }
 
 /// Time constants of processes that ℓ cannot distinguish from white noise, and of nearly white ones.
-fn all_but_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[usize]) -> [Vec<usize>; 2] {
+fn white_processes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[usize]) -> [Vec<usize>; 2] {
     let loss = |&parameter: &usize| Some((parameter, loss_if_shorter(objective, end, parameter)?));
     let losses: Vec<(usize, f64)> = timed.iter().filter_map(loss).collect();
-    [WHITE, NEARLY]
+    [WHITE_LOSS, NEARLY_WHITE_LOSS]
         .map(|most| losses.iter().filter(|(_, loss)| *loss <= most).map(|(parameter, _)| *parameter).collect())
 }
 
 /// Candidates where one of two coinciding processes takes the variance of both, and the other one gets another size and
 /// shape.
-fn set_apart(
+fn separated_pair(
     objective: &ProfileLikelihood<'_>,
     one: &[f64],
     twins: &ExchangeablePair,
@@ -126,68 +129,69 @@ fn set_apart(
         beside
     };
     let parameter = objective.slots.slots()[shape].parameter;
-    let found = SIZES.iter().flat_map(|size| other_maxima(objective, parameter, &of_size(size), progress));
+    let found = TRIAL_SIZES.iter().flat_map(|size| other_maxima(objective, parameter, &of_size(size), progress));
     let valued = found.filter_map(|place| Some((objective.value(&place)?, place)));
     let mut valued: Vec<(f64, Vec<f64>)> = valued.collect();
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
-    valued.into_iter().take(APART_TRIED).map(|(_, place)| place).collect()
+    valued.into_iter().take(MAX_SEPARATED).map(|(_, place)| place).collect()
 }
 
 /// Candidates where a process that replaced a measurement's noise, now at zero, is given back to it: the process may
 /// return in another shape.
-fn given_back(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
+fn returned_to_noise(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
     let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
-    let values = &end.home.values;
+    let values = &end.iterate.values;
     let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
     let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
-    pairs.filter_map(|pair| handed_over(objective, values, pair)).collect()
+    pairs.filter_map(|pair| transferred(objective, values, pair)).collect()
 }
 
 /// Candidate where the size of a process is held: all measurement noises at zero get the same variance, and the process
 /// the best time constant given that. The noises may explain what the process did, and a slow process may keep the
 /// size.
-fn left_to_noise(
+fn held_level_as_measurement_noise(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
     (t, timed): (usize, &[usize]),
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let parameter = timed.iter().find(|&&parameter| driven(objective, parameter) == Some((t, true)))?;
+    let parameter = timed.iter().find(|&&parameter| driven_level(objective, parameter) == Some((t, true)))?;
     let from = objective.coordinates[t].level?;
-    let mut beside = end.home.values.clone();
+    let mut beside = end.iterate.values.clone();
     let measures = |s: usize| scales::measures(objective.model, objective.slots.slots()[s].parameter);
     for s in (0..beside.len()).filter(|&s| end.is_at_zero(s) && measures(s)) {
         let Some(to) = objective.coordinates[s].level else { continue };
         beside[s] = beside[t].powf(from / to).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
     }
-    let is_other = beside != end.home.values;
+    let is_other = beside != end.iterate.values;
     is_other.then(|| best_of(objective, *parameter, &beside, progress))?.map(|(beside, _)| beside)
 }
 
 /// Candidates where nearly white processes are given to the noise of a measurement, the other processes unchanged or in
 /// their place: the variation of the other process may be explained as well, and the process at zero may return in
 /// another shape. Where noises have a covariance, the other process may take over what this one gave.
-fn given_up(
+fn process_to_noise(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],
     (levels, white): (&[usize], &[usize]),
     exchanges: &[ExchangeablePair],
 ) -> Vec<Vec<f64>> {
     let still: Vec<usize> = levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(objective, s)).collect();
-    let sized = white.iter().filter_map(|&parameter| driven(objective, parameter).filter(|(_, is_size)| *is_size));
+    let sized =
+        white.iter().filter_map(|&parameter| driven_level(objective, parameter).filter(|(_, is_size)| *is_size));
     let sized: Vec<usize> = sized.map(|(t, _)| t).filter(|t| levels.contains(t) && values[*t] > 0.0).collect();
     let mut all = Vec::new();
     for (&s, &t) in still.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
-        all.extend(handed_over(objective, values, (s, t)));
+        all.extend(transferred(objective, values, (s, t)));
         let other = |pair: &ExchangeablePair| {
             pair.pairs.iter().find_map(|&(a, b)| if a == t { Some(b) } else { (b == t).then_some(a) })
         };
         all.extend(
-            exchanges.iter().filter_map(|pair| handed_over(objective, &pair.exchanged(values), (s, other(pair)?))),
+            exchanges.iter().filter_map(|pair| transferred(objective, &pair.exchanged(values), (s, other(pair)?))),
         );
         let changed = |pair: &ExchangeablePair| {
-            let (own, given) = (other(pair)?, handed_over(objective, values, (s, t))?);
-            CrossedNoise::of(objective, s, own)?.taken(&pair.exchanged(&given))
+            let (own, given) = (other(pair)?, transferred(objective, values, (s, t))?);
+            NoiseTransfer::of(objective, s, own)?.taken(&pair.exchanged(&given))
         };
         all.extend(exchanges.iter().filter_map(changed));
     }
@@ -196,8 +200,8 @@ fn given_up(
 
 /// The values with the variance of level `t` handed over to level `s`, together with its share of the noise
 /// covariances.
-fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
-    if let Some(noises) = CrossedNoise::of(objective, s, t) {
+fn transferred(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    if let Some(noises) = NoiseTransfer::of(objective, s, t) {
         return Some(noises.given(values));
     }
     let (taker, giver) = (objective.coordinates[s], objective.coordinates[t]);
@@ -211,27 +215,27 @@ fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize
 /// Absolute change of ℓ where a time constant is a quarter of its value.
 fn loss_if_shorter(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> Option<f64> {
     let slot = objective.slots.common(time_constant)?;
-    let mut shorter = end.home.values.clone();
-    shorter[slot] = objective.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
-    Some((objective.value(&shorter)? - end.home.value()).abs())
+    let mut shorter = end.iterate.values.clone();
+    shorter[slot] = objective.coordinates[slot].moved(shorter[slot], -TRIAL_FACTOR.ln());
+    Some((objective.value(&shorter)? - end.iterate.value()).abs())
 }
 
 /// Candidate where a nearly white process has the best time constant among longer ones, at which ℓ begins to
 /// distinguish it from white noise.
-fn less_white(
+fn lengthened_process(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
     time_constant: usize,
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let (best, value) = best_of(objective, time_constant, &end.home.values, progress)?;
-    let is_level = (value - end.home.value()).abs() <= LEVEL;
+    let (best, value) = best_of(objective, time_constant, &end.iterate.values, progress)?;
+    let is_level = (value - end.iterate.value()).abs() <= EQUAL_VALUE;
     is_level.then(|| longer(objective, time_constant, (best, value), progress))
 }
 
 /// Candidates with all time constants longer, or all shorter, each process as rough as before: the data may be
 /// explained by slower and larger processes, or by quicker and smaller ones.
-fn all_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
+fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
     let open = |&parameter: &usize| objective.slots.common(parameter).is_some();
     let parameters: Vec<usize> = time_constants(objective.model).into_iter().filter(open).collect();
     let by = |step: f64| {
@@ -239,19 +243,19 @@ fn all_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>>
         for &parameter in &parameters {
             let Some(time) = objective.slots.common(parameter) else { continue };
             moved[time] = objective.coordinates[time].moved(values[time], step);
-            let sized = driven(objective, parameter).filter(|(_, is_size)| *is_size);
+            let sized = driven_level(objective, parameter).filter(|(_, is_size)| *is_size);
             let Some((level, _)) = sized else { continue };
             let Some(exponent) = objective.coordinates[level].level else { continue };
             moved[level] = objective.coordinates[level].moved(values[level], step / exponent);
         }
         moved
     };
-    if parameters.is_empty() { Vec::new() } else { [FACTOR.ln(), -FACTOR.ln()].map(by).to_vec() }
+    if parameters.is_empty() { Vec::new() } else { [TRIAL_FACTOR.ln(), -TRIAL_FACTOR.ln()].map(by).to_vec() }
 }
 
 /// The level of the process with this time constant, and whether it is the size of the process, so that its noise
 /// depends on the time constant, too.
-fn driven(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
+fn driven_level(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
     objective.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
         let (form, noise_variance) = state.motion.parts()?;
         let timed = form.terms.iter().any(|(_, term)| term.mentions(time_constant));
@@ -264,23 +268,23 @@ fn driven(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(us
 
 /// Candidate where a process with this time constant takes over the measurement noise of level `s`, with the best value
 /// of the time constant; `height`: ℓ before.
-fn taken_over(
+fn noise_to_process(
     objective: &ProfileLikelihood<'_>,
     (values, height): (&[f64], f64),
     s: usize,
     time_constant: usize,
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let (taker, is_size) = driven(objective, time_constant)?;
+    let (taker, is_size) = driven_level(objective, time_constant)?;
     if values[s] == 0.0 || drives(objective, s) {
         return None;
     }
-    let noises = CrossedNoise::of(objective, s, taker).filter(|noises| is_size && noises.first() == s);
+    let noises = NoiseTransfer::of(objective, s, taker).filter(|noises| is_size && noises.first() == s);
     let crossed = noises.and_then(|noises| noises.taken(values));
     let over = crossed.or_else(|| replaced(objective, values, (s, taker)))?;
     let best = best_of(objective, time_constant, &over, progress)?;
     // ℓ is unchanged: the process is as white as the noise was, and ℓ may rise at a somewhat longer time constant
-    let is_level = (best.1 - height).abs() <= LEVEL;
+    let is_level = (best.1 - height).abs() <= EQUAL_VALUE;
     Some(if is_level { longer(objective, time_constant, best, progress) } else { best.0 })
 }
 
@@ -294,8 +298,8 @@ fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, u
 }
 
 /// Candidates with other values of a noise covariance, such as of the other sign.
-fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
-    let apart = PARTS.into_iter().filter(move |part| (part - values[t]).abs() > APART);
+fn other_correlations(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
+    let apart = TRIAL_CORRELATIONS.into_iter().filter(move |part| (part - values[t]).abs() > MIN_DISTANCE);
     apart.map(move |part| {
         let mut other = values.to_vec();
         other[t] = part;
@@ -304,7 +308,7 @@ fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
 }
 
 /// Whether a level is that of a noise with a free covariance to another noise.
-fn is_crossed(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
+fn has_free_covariance(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
     !objective.edges.beside(objective.slots.slots()[s].parameter).is_empty()
 }
 
@@ -315,24 +319,24 @@ fn drives(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
 
 /// Candidates with other sizes of a level at zero: those at which ℓ is higher than at the neighbouring sizes.
 fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
-    let value = end.home.values[s];
+    let value = end.iterate.values[s];
     if value > 0.0 && !end.is_at_zero(s) {
         return Vec::new();
     }
     let at = |size: &f64| {
-        let mut values = end.home.values.clone();
+        let mut values = end.iterate.values.clone();
         values[s] = (size * unit).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
         values
     };
-    let places: Vec<Vec<f64>> = SIZES.iter().map(at).collect();
+    let places: Vec<Vec<f64>> = TRIAL_SIZES.iter().map(at).collect();
     let heights: Vec<f64> = places.iter().map(|place| objective.value(place).unwrap_or(f64::NEG_INFINITY)).collect();
     let beside = |k: usize, other: Option<usize>| other.and_then(|o| heights.get(o)).is_none_or(|h| *h < heights[k]);
     let peak = |k: &usize| heights[*k].is_finite() && beside(*k, k.checked_sub(1)) && beside(*k, Some(k + 1));
     // zero is the neighbour of the smallest size
-    let last = SIZES.len() - 1;
-    (0..SIZES.len())
+    let last = TRIAL_SIZES.len() - 1;
+    (0..TRIAL_SIZES.len())
         .filter(peak)
-        .filter(|k| *k < last || heights[last] > end.home.value())
+        .filter(|k| *k < last || heights[last] > end.iterate.value())
         .map(|k| places[k].clone())
         .collect()
 }

@@ -10,15 +10,15 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::before_runs::BeforeRuns;
-use crate::edges::Edges;
+use crate::correlation_bounds::CorrelationBounds;
 use crate::exact::add_exact;
+use crate::exchangeable::ExchangeablePair;
 use crate::indirect::{Around, Indirect};
 use crate::matrices;
 use crate::matrices::matrix_gradient;
 use crate::scale;
 use crate::scale::{AtScale, Scale};
 use crate::scales::Scales;
-use crate::twins::ExchangeablePair;
 use crate::{Coordinate, DynamicError, Settings};
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Criterion, Estimate, FitError, NoiseInformation, Silent, Structure};
@@ -31,11 +31,11 @@ use kalfit_model::remote::{Answers, Question, Remote};
 use kalfit_model::{Alpha, PhasedModel, Population, Slots};
 
 /// Number of tests up to which an ensemble is narrow: threads then work at several α at once.
-const NARROW: usize = 64;
+const NARROW_TESTS: usize = 64;
 /// Number of rows, and of tests, up to which an ensemble is narrow in any case.
-const SHORT: usize = 1 << 15;
+const NARROW_ROWS: usize = 1 << 15;
 /// Maximal number of rows in work at a time, over all threads, for an ensemble to be narrow.
-const ROOM: usize = 1 << 24;
+const MAX_ROWS_IN_WORK: usize = 1 << 24;
 
 /// An ensemble and a model, ready to evaluate ℓ(α).
 #[derive(Debug)]
@@ -46,9 +46,9 @@ pub struct ProfileLikelihood<'a> {
     pub coordinates: Vec<Coordinate>,
     pub(crate) settings: &'a Settings,
     /// Covariances of noises, which are sought as parts of their bounds.
-    pub edges: Edges,
+    pub edges: CorrelationBounds,
     /// Levels that a known covariance bounds from below.
-    pub(crate) cone: BTreeSet<usize>,
+    pub(crate) lower_bounded: BTreeSet<usize>,
     /// Pairs of exchangeable processes.
     pub twins: Vec<ExchangeablePair>,
     /// Groups of the tests, where the model has levels.
@@ -132,18 +132,18 @@ impl<'a> ProfileLikelihood<'a> {
         settings: &'a Settings,
     ) -> ProfileLikelihood<'a> {
         let zero = || AtomicUsize::new(0);
-        let edges = Edges::of(model, slots, tests);
+        let edges = CorrelationBounds::of(model, slots, tests);
         let mut coordinates = Coordinate::of(model, slots);
         edges.bound(&mut coordinates);
-        let cone = Edges::least(model, slots, tests);
-        cone.iter().for_each(|&(s, least)| coordinates[s].lower = coordinates[s].lower.max(least));
+        let lower_bounded = CorrelationBounds::least(model, slots, tests);
+        lower_bounded.iter().for_each(|&(s, least)| coordinates[s].lower = coordinates[s].lower.max(least));
         ProfileLikelihood {
             model,
             tests,
             slots,
             coordinates,
             edges,
-            cone: cone.into_iter().map(|(s, _)| s).collect(),
+            lower_bounded: lower_bounded.into_iter().map(|(s, _)| s).collect(),
             settings,
             twins: ExchangeablePair::of(model, slots),
             grouping: grouping(model, tests).ok().flatten().map(Arc::new), // its errors are reported before
@@ -184,7 +184,7 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// Fails when the caller no longer waits for results.
-    fn go_on(&self) -> Result<(), DynamicError> {
+    fn check_waited_for(&self) -> Result<(), DynamicError> {
         let goes_on = self.before_runs.is_none_or(|BeforeRuns(asks)| asks(self.filter_passes()));
         if goes_on { Ok(()) } else { Err(DynamicError::Interrupted) }
     }
@@ -214,16 +214,16 @@ impl<'a> ProfileLikelihood<'a> {
 
     /// Whether tests or rows are so few that threads had better work at several α at once, and not too many rows are
     /// then in work.
-    pub(crate) fn is_narrow(&self) -> bool {
+    pub(crate) fn is_parallel_over_alpha(&self) -> bool {
         let (threads, rows) = (rayon::current_num_threads(), self.rows());
-        let is_small = self.tests.len() <= NARROW || rows.max(self.tests.len()) <= SHORT;
+        let is_small = self.tests.len() <= NARROW_TESTS || rows.max(self.tests.len()) <= NARROW_ROWS;
         // each run of the filters serves later values of a scale, so these are evaluated one after the other
-        !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= ROOM
+        !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= MAX_ROWS_IN_WORK
     }
 
     /// A result for each of some points; for several points at a time where tests or rows are few.
     pub(crate) fn each<P: Sync, T: Send>(&self, places: &[P], one: impl Fn(&P) -> T + Sync + Send) -> Vec<T> {
-        if !self.is_narrow() {
+        if !self.is_parallel_over_alpha() {
             return places.iter().map(one).collect();
         }
         self.order(); // computed before the threads start
@@ -274,7 +274,7 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// Adds the counts of another profile likelihood of the same ensemble.
-    pub(crate) fn absorb(&self, other: &ProfileLikelihood<'_>) {
+    pub(crate) fn add_counts(&self, other: &ProfileLikelihood<'_>) {
         let pairs = [
             (&self.filter_passes, &other.filter_passes),
             (&self.score_passes, &other.score_passes),
@@ -320,7 +320,7 @@ impl<'a> ProfileLikelihood<'a> {
 
     /// Reduces the tests by running the filters.
     fn filter(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
-        self.go_on()?;
+        self.check_waited_for()?;
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
@@ -374,7 +374,7 @@ impl<'a> ProfileLikelihood<'a> {
         far: f64,
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some(scale) = &self.scale else { return Ok(None) };
-        self.go_on()?;
+        self.check_waited_for()?;
         let how = (&self.structure(alpha), near, &self.settings.inner);
         let run = |value| Ok(self.filter(&[value])?.reductions);
         let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
@@ -384,20 +384,20 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// The reductions at a solved α.
-    fn reductions_at<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, Reductions>, DynamicError> {
-        match &home.second_derivatives {
+    fn reductions_at<'s>(&self, iterate: &'s ProfilePoint) -> Result<Cow<'s, Reductions>, DynamicError> {
+        match &iterate.second_derivatives {
             SecondDerivatives::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
-            SecondDerivatives::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
+            SecondDerivatives::Scale(_) => Ok(Cow::Owned(self.reduce(&iterate.values)?.reductions)),
         }
     }
 
     /// Reductions and scores of each test at a solved α.
-    pub(crate) fn of_tests<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
-        if let SecondDerivatives::Tests(tests) = &home.second_derivatives {
+    pub(crate) fn of_tests<'s>(&self, iterate: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
+        if let SecondDerivatives::Tests(tests) = &iterate.second_derivatives {
             return Ok(Cow::Borrowed(&**tests));
         }
-        let reduced = self.reduce(&home.values)?;
-        let scores = self.scores(&home.values, &reduced, &home.estimate.state.law())?;
+        let reduced = self.reduce(&iterate.values)?;
+        let scores = self.scores(&iterate.values, &reduced, &iterate.estimate.state.law())?;
         Ok(Cow::Owned(OfTests { reductions: reduced.reductions, scores }))
     }
 
@@ -444,53 +444,53 @@ impl<'a> ProfileLikelihood<'a> {
         self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
     }
 
-    /// The gradients of ℓ at other values but the (μ, Σ) of `home`; `None` where ℓ is not defined.
-    pub(crate) fn shift(&self, home: &ProfilePoint, values: &[f64]) -> Option<FixedLawPoint> {
+    /// The gradients of ℓ at other values but the (μ, Σ) of `iterate`; `None` where ℓ is not defined.
+    pub(crate) fn shift(&self, iterate: &ProfilePoint, values: &[f64]) -> Option<FixedLawPoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
-        let at = home.estimate.state.at_other_alpha(&reduced.reductions, &alpha).ok()??;
+        let at = iterate.estimate.state.at_other_alpha(&reduced.reductions, &alpha).ok()??;
         let scores = self.scores(values, &reduced, &at.law()).ok()?;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
-        let inner = at.gradient(&home.estimate.state);
+        let inner = at.gradient(&iterate.estimate.state);
         let tests = OfTests { reductions: reduced.reductions, scores };
         Some(FixedLawPoint { values: values.to_vec(), inner, tests, matrix })
     }
 
-    /// The point after a step in α and, along the tangent basis of `home`, in (μ, Σ); `None` where ℓ is not defined.
-    pub(crate) fn step(&self, home: &ProfilePoint, values: &[f64], inner: &DVector<f64>) -> Option<ProfilePoint> {
+    /// The point after a step in α and, along the tangent basis of `iterate`, in (μ, Σ); `None` where ℓ is not defined.
+    pub(crate) fn step(&self, iterate: &ProfilePoint, values: &[f64], inner: &DVector<f64>) -> Option<ProfilePoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
-        let state = home.estimate.state.moved(&reduced.reductions, &alpha, inner)?;
+        let state = iterate.estimate.state.moved(&reduced.reductions, &alpha, inner)?;
         self.solved(values, alpha, reduced, Estimate::unfinished(state)).ok()
     }
 
     /// ℓ(α) and its gradient with (μ, Σ) solved for, where these moved along with α before.
-    pub(crate) fn settle(&self, home: &ProfilePoint) -> Result<ProfilePoint, DynamicError> {
-        let (values, alpha) = (&home.values, self.alpha(&home.values));
+    pub(crate) fn settle(&self, iterate: &ProfilePoint) -> Result<ProfilePoint, DynamicError> {
+        let (values, alpha) = (&iterate.values, self.alpha(&iterate.values));
         let reduced = self.reduce(values)?;
         let structure = self.structure(&alpha);
-        let estimate = estimate::fit_on(&home.estimate.state, &reduced.reductions, &structure)?;
+        let estimate = estimate::fit_on(&iterate.estimate.state, &reduced.reductions, &structure)?;
         self.count_passes(&estimate);
         self.solved(values, alpha, reduced, estimate)
     }
 
-    /// The result of [`ProfileLikelihood::shift`] at `home` itself.
-    pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<FixedLawPoint> {
-        let state = &home.estimate.state;
-        let sigma = &home.estimate.covariance;
+    /// The result of [`ProfileLikelihood::shift`] at `iterate` itself.
+    pub(crate) fn at_iterate(&self, iterate: &ProfilePoint) -> Option<FixedLawPoint> {
+        let state = &iterate.estimate.state;
+        let sigma = &iterate.estimate.covariance;
         Some(FixedLawPoint {
-            values: home.values.clone(),
+            values: iterate.values.clone(),
             inner: state.newton_iterate.tangent.gradient.clone(),
-            tests: self.of_tests(home).ok()?.into_owned(),
-            matrix: matrix_gradient(self.model, &home.alpha, self.slots, sigma, &state.covariance_score()),
+            tests: self.of_tests(iterate).ok()?.into_owned(),
+            matrix: matrix_gradient(self.model, &iterate.alpha, self.slots, sigma, &state.covariance_score()),
         })
     }
 
     /// The reductions at a solved α, and the estimate on them.
-    pub(crate) fn with_reductions(&self, home: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
-        let ProfilePoint { values, estimate, second_derivatives: told, .. } = home;
+    pub(crate) fn with_reductions(&self, iterate: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
+        let ProfilePoint { values, estimate, second_derivatives: told, .. } = iterate;
         if let SecondDerivatives::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
         }
@@ -528,7 +528,7 @@ impl<'a> ProfileLikelihood<'a> {
 
     /// dℓ_j/dvalue of each test at these values and this law.
     pub fn scores(&self, values: &[f64], reduced: &Reduced, law: &InitialLaw) -> Result<Vec<Gradient>, DynamicError> {
-        self.go_on()?;
+        self.check_waited_for()?;
         let Reduced { reducer, reductions, filtered } = reduced;
         if let Some(remote) = reductions.remote() {
             self.score_passes.fetch_add(1, Ordering::Relaxed);
@@ -557,13 +557,13 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// Moments of the complete data of each test at a solved α.
-    pub(crate) fn complete(&self, home: &ProfilePoint) -> Result<Vec<PhasedComplete>, DynamicError> {
+    pub(crate) fn complete(&self, iterate: &ProfilePoint) -> Result<Vec<PhasedComplete>, DynamicError> {
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         self.score_passes.fetch_add(1, Ordering::Relaxed);
-        let law = home.estimate.state.law();
-        let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
+        let law = iterate.estimate.state.law();
+        let reducer = PhasedReducer::scoring(self.model, &iterate.alpha, self.slots).map_err(Box::new)?;
         let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
-        let reductions = self.reductions_at(home)?;
+        let reductions = self.reductions_at(iterate)?;
         Ok(scorer.all_complete(self.tests, &reductions, &law).map_err(Box::new)?)
     }
 

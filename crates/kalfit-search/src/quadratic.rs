@@ -35,7 +35,7 @@ impl ProfileInformation {
         level_scale: LevelScale,
         (joint, place): (&JointInformation, &ProfilePoint),
     ) -> Option<ProfileInformation> {
-        let (slots, mut information) = (joint.shared().to_vec(), joint.followed()?);
+        let (slots, mut information) = (joint.shared().to_vec(), joint.profile_information()?);
         if level_scale == LevelScale::Variance {
             for (i, &s) in slots.iter().enumerate() {
                 if let Some(exponent) = coordinates[s].level {
@@ -156,7 +156,7 @@ impl<'b> Quadratic<'b> {
 
     /// Updates the information by the change of the gradient between two points (Broyden, Fletcher, Goldfarb and
     /// Shanno's update); `false` where ℓ does not curve downward between them.
-    pub fn learn(&mut self, before: Iterate<'_>, after: Iterate<'_>) -> bool {
+    pub fn update(&mut self, before: Iterate<'_>, after: Iterate<'_>) -> bool {
         let s = self.way(before, after);
         let y = self.gradient(before) - self.gradient(after);
         let (bend, turned) = (s.dot(&y), &self.information * &s);
@@ -170,7 +170,7 @@ impl<'b> Quadratic<'b> {
 
     /// Error of the predicted gradient after a step: dℓ/dlogarithm of levels, and dℓ/dcoordinate of other values, minus
     /// the prediction from where the step began.
-    pub(super) fn unforeseen(&self, before: Iterate<'_>, after: Iterate<'_>) -> DVector<f64> {
+    pub(super) fn prediction_error(&self, before: Iterate<'_>, after: Iterate<'_>) -> DVector<f64> {
         let missed = self.gradient(after) - self.gradient(before) + &self.information * self.way(before, after);
         let units = self.over_slots(|s| self.unit(s, after.values[s]));
         missed.component_div(&units)
@@ -188,12 +188,12 @@ impl<'b> Quadratic<'b> {
 
     /// Whether some level, by its logarithm, has a downward slope and a curvature below `times` that slope: it is on
     /// its way to zero.
-    pub(super) fn sinks(&self, at: Iterate<'_>, times: f64) -> bool {
-        let sinks = |(i, &s): (usize, &usize)| {
+    pub(super) fn has_vanishing_level(&self, at: Iterate<'_>, times: f64) -> bool {
+        let has_vanishing_level = |(i, &s): (usize, &usize)| {
             let slope = at.gradient[s];
             self.coordinates[s].level.is_some() && slope < 0.0 && self.information[(i, i)] < times * slope.abs()
         };
-        self.level_scale == LevelScale::Logarithm && self.slots.iter().enumerate().any(sinks)
+        self.level_scale == LevelScale::Logarithm && self.slots.iter().enumerate().any(has_vanishing_level)
     }
 }
 
@@ -242,7 +242,7 @@ mod tests {
         let (from, to) = ([1.1, 1.0], [0.7, 2.0]);
         let (slope, other) = (gradient(from), gradient(to));
         let (before, after) = (Iterate { values: &from, gradient: &slope }, Iterate { values: &to, gradient: &other });
-        let by = |scale| about(&coordinates, from, scale).unforeseen(before, after);
+        let by = |scale| about(&coordinates, from, scale).prediction_error(before, after);
         let (variance, logarithm) = (by(LevelScale::Variance), by(LevelScale::Logarithm));
         assert!(variance.amax() < 1e-12, "{variance}");
         assert!(logarithm.amax() > 0.1, "{logarithm}");
@@ -281,15 +281,17 @@ mod tests {
         let slopes = places.map(gradient);
         let at = |k: usize| Iterate { values: &places[k], gradient: &slopes[k] };
         for k in 1..3 {
-            assert!(quadratic.learn(at(k - 1), at(k)));
-            let missed = quadratic.unforeseen(at(k - 1), at(k));
+            assert!(quadratic.update(at(k - 1), at(k)));
+            let missed = quadratic.prediction_error(at(k - 1), at(k));
             assert!(missed.amax() < 1e-13, "{missed}");
         }
         let along = quadratic.way(at(1), at(2));
         let (found, expected) = (&quadratic.information * &along, &exact * &along);
         assert!((&found - &expected).amax() < 1e-13, "{found} and {expected}");
         // between points over which the slope does not fall
-        assert!(!quadratic.learn(Iterate { gradient: &slopes[1], ..at(0) }, Iterate { gradient: &slopes[0], ..at(1) }));
+        assert!(
+            !quadratic.update(Iterate { gradient: &slopes[1], ..at(0) }, Iterate { gradient: &slopes[0], ..at(1) })
+        );
     }
 
     #[test]
@@ -300,7 +302,7 @@ mod tests {
         let (before, after) = (Iterate { values: &from, gradient: &slope }, Iterate { values: &to, gradient: &other });
         for scale in [LevelScale::Variance, LevelScale::Logarithm] {
             let quadratic = about(&coordinates, from, scale);
-            assert_eq!(quadratic.size(&quadratic.unforeseen(before, after)), None, "{scale:?}");
+            assert_eq!(quadratic.size(&quadratic.prediction_error(before, after)), None, "{scale:?}");
         }
     }
 }

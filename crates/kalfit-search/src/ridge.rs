@@ -5,27 +5,27 @@
 //! numbers. Gradients at the best (μ, Σ), a part of a standard error to either side, do resolve it, and the distance to
 //! the top of the ridge.
 
-use crate::joint::{FLAT, InformationDirection, JointInformation};
+use crate::joint::{FLAT_EIGENVALUE, InformationDirection, JointInformation};
 use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_model::Population;
 
 /// Distance of the sides from the point, in standard errors.
-const PART: f64 = 0.1;
+const SIDE_DISTANCE: f64 = 0.1;
 /// Gradients that differ by less than this, in coordinates of unit curvature, may differ by rounding.
-const SEEN: f64 = 1e-8;
+const MIN_DIFFERENCE: f64 = 1e-8;
 /// Factor by which the sides move away where gradients may differ by rounding only.
-const FARTHER: f64 = 10.0;
+const FARTHER_FACTOR: f64 = 10.0;
 /// Largest change of a logarithm from the point to a side.
-const FARTHEST: f64 = 1.0;
+const MAX_LOGARITHM: f64 = 1.0;
 /// Largest factor between a curvature and the one for which the distance of the sides was chosen.
-const OFF: f64 = 4.0;
+const MAX_CURVATURE_RATIO: f64 = 4.0;
 /// Relative difference up to which ℓ and its gradients agree.
-const AGREES: f64 = 0.25;
+const MAX_DISAGREEMENT: f64 = 0.25;
 /// Largest part of the curvature along a direction that may come from leaving the top of the ridge: differences do not
 /// resolve the course of the top any better, and the top itself may be flat.
-const ASIDE: f64 = 0.5;
+const MAX_ASIDE_PART: f64 = 0.5;
 /// Maximal number of distances tried for the sides.
-const LOOKS: usize = 8;
+const MAX_DISTANCES: usize = 8;
 
 /// Slope and curvature of ℓ along a ridge.
 #[derive(Debug, Clone, Copy)]
@@ -45,29 +45,29 @@ impl Ridge {
         direction: &InformationDirection,
     ) -> Option<Ridge> {
         let along = &direction.alpha;
-        let unit = direction.of_curvature(1.0);
-        let mut curvature = direction.curvature.abs().max(FLAT / unit);
-        for _ in 0..LOOKS {
-            let length = PART / curvature.sqrt();
+        let unit = direction.eigenvalue_of(1.0);
+        let mut curvature = direction.curvature.abs().max(FLAT_EIGENVALUE / unit);
+        for _ in 0..MAX_DISTANCES {
+            let length = SIDE_DISTANCE / curvature.sqrt();
             let sides = [length, -length].map(|length| RidgeSide::new(objective, start, (direction, length)));
             let [Some(up), Some(down)] = sides else { return None };
             let [rise, fall] = [&up, &down].map(|side| dot(&side.gradient, along));
             let bend = fall - rise;
             let ridge = Ridge { curvature: bend / (2.0 * length), slope: 0.5 * (rise + fall) };
-            if bend.abs() * unit.sqrt() < SEEN {
-                curvature /= FARTHER * FARTHER;
+            if bend.abs() * unit.sqrt() < MIN_DIFFERENCE {
+                curvature /= FARTHER_FACTOR * FARTHER_FACTOR;
                 continue;
             }
             if ridge.curvature <= 0.0 {
                 return None;
             }
-            if (OFF.recip()..=OFF).contains(&(ridge.curvature / curvature)) {
+            if (MAX_CURVATURE_RATIO.recip()..=MAX_CURVATURE_RATIO).contains(&(ridge.curvature / curvature)) {
                 let is_told = ridge.tells(&up, length, start.value) && ridge.tells(&down, -length, start.value);
                 let bends: Vec<f64> =
                     down.gradient.iter().zip(&up.gradient).map(|(d, u)| (d - u) / (2.0 * length)).collect();
-                let aside = start.joint.left_by_others(along, &bends)?;
+                let aside = start.joint.curvature_lost(along, &bends)?;
                 let on_top = Ridge { curvature: ridge.curvature - aside, ..ridge };
-                return (is_told && aside < ASIDE * ridge.curvature).then_some(on_top);
+                return (is_told && aside < MAX_ASIDE_PART * ridge.curvature).then_some(on_top);
             }
             curvature = ridge.curvature;
         }
@@ -77,7 +77,7 @@ impl Ridge {
     /// Whether ℓ falls to a side by as much as the gradients predict.
     fn tells(&self, side: &RidgeSide, length: f64, home: f64) -> bool {
         let bent = 0.5 * self.curvature * length * length;
-        (home - side.value - (bent - self.slope * length)).abs() <= AGREES * bent
+        (home - side.value - (bent - self.slope * length)).abs() <= MAX_DISAGREEMENT * bent
     }
 
     /// Length of the step to the top of the ridge.
@@ -119,7 +119,7 @@ impl RidgeSide {
         let fits = |(s, part): (usize, &f64)| {
             let coordinate = &objective.coordinates[s];
             let is_free = !coordinate.at_lower(moved[s]) && !coordinate.at_upper(moved[s]);
-            *part == 0.0 || (is_free && !(coordinate.log && (part * length).abs() > FARTHEST))
+            *part == 0.0 || (is_free && !(coordinate.log && (part * length).abs() > MAX_LOGARITHM))
         };
         if !direction.alpha.iter().enumerate().all(fits) {
             return None;

@@ -2,28 +2,28 @@
 
 use crate::Settings;
 use crate::coordinates::alike;
+use crate::exchangeable::ordered;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::quadratic::ProfileInformation;
 use crate::search::search;
 use crate::search_state::SearchStart;
-use crate::twins::ordered;
 use kalfit_estimate::{Progress, Stage, Step};
 use kalfit_model::{Evidence, PhasedTest};
 
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
-pub(super) const CLOSE: f64 = 5.0;
+pub(super) const CLOSE_LOSS: f64 = 5.0;
 /// Maximal number of such ends that are followed.
-pub(super) const FOLLOWED: usize = 3;
+pub(super) const MAX_FOLLOWED: usize = 3;
 /// Relative difference of values up to which two ends are the same.
 pub(super) const ALIKE: f64 = 2e-2;
 /// Largest loss of ℓ, on a part of the data, from a maximum to a start that counts as one of the same maximum.
-const SAME: f64 = 10.0;
+const SAME_MAXIMUM: f64 = 10.0;
 /// Ratio of the sizes of successive larger parts.
-const GROWS: usize = 8;
+const GROWTH: usize = 8;
 /// Least ratio of the size of all data to that of a part.
-const SHORTER: usize = 4;
+const MIN_RATIO: usize = 4;
 /// Tolerance of a search on a larger part, in standard errors.
-const ROUGH: f64 = 1e-3;
+const ROUGH_TOLERANCE: f64 = 1e-3;
 /// Number of rows beyond which the sample takes no more tests.
 const ROWS: usize = 100_000;
 /// Maximal number of rows of one test in the sample.
@@ -31,7 +31,7 @@ const ROWS_OF_A_TEST: usize = 20_000;
 /// Number of rows that is enough where values are common to all tests and the rows are of many tests.
 const ROWS_OF_MANY: usize = 20_000;
 /// Number of tests that are many in this sense.
-const MANY: usize = 256;
+const MANY_TESTS: usize = 256;
 
 /// The first rows of every phase of every test, as many tests as fit; `common`: values are common to all tests.
 pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
@@ -42,16 +42,16 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
 /// short: slow processes show in whole ones. There are none for short tests, of which the sample has enough.
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
     let all = if tests.iter().any(|test| test.row_count() > ROWS_OF_A_TEST) { total(tests) } else { 0 };
-    let least = SHORTER * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
-    let sizes = std::iter::successors(Some(GROWS), |size| Some(GROWS * size));
+    let least = MIN_RATIO * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
+    let sizes = std::iter::successors(Some(GROWTH), |size| Some(GROWTH * size));
     let sizes = sizes.take_while(move |size| least * size <= all); // before anything is copied
-    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| SHORTER * total(part) <= all)
+    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| MIN_RATIO * total(part) <= all)
 }
 
 /// Settings of a search on such a part: its exact end does not matter.
-pub(super) fn roughly(settings: &Settings) -> Settings {
+pub(super) fn rough_settings(settings: &Settings) -> Settings {
     let mut rough = settings.clone();
-    rough.inner.tolerance = rough.inner.tolerance.max(ROUGH);
+    rough.inner.tolerance = rough.inner.tolerance.max(ROUGH_TOLERANCE);
     rough
 }
 
@@ -69,7 +69,7 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
         let kept = PhasedTest { id: test.id.clone(), phases: test.phases.iter().map(first).collect() };
         many += kept.row_count();
         sample.push(kept);
-        if many > ROWS * size || (common && many > ROWS_OF_MANY * size && sample.len() >= MANY * size) {
+        if many > ROWS * size || (common && many > ROWS_OF_MANY * size && sample.len() >= MANY_TESTS * size) {
             break;
         }
     }
@@ -85,10 +85,10 @@ pub(super) fn promising(
     others: Vec<Vec<f64>>,
     progress: &mut dyn Progress,
 ) -> Vec<SearchStart> {
-    let mut part = Subsample { small, more: objective.rows() as f64 / small.rows() as f64, floor: None, progress };
+    let mut part = Subsample { small, more: objective.rows() as f64 / small.rows() as f64, best_known: None, progress };
     let (mut kept, mut seen) = (Vec::new(), Vec::new());
     if let Some(given) = given {
-        let (start, _, places) = part.nearer(objective, given.into());
+        let (start, _, places) = part.refined(objective, given.into());
         kept.push(start);
         seen.extend(places);
     }
@@ -98,8 +98,8 @@ pub(super) fn promising(
         kept.extend(others.into_iter().map(SearchStart::from));
         return kept;
     };
-    let most = kept.len() + FOLLOWED;
-    for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE) {
+    let most = kept.len() + MAX_FOLLOWED;
+    for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE_LOSS) {
         let place = ordered(&small.twins, &start.values);
         if kept.len() < most && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
             kept.push(start);
@@ -111,13 +111,13 @@ pub(super) fn promising(
 
 /// The starts moved to the ends that they lead to on a larger part of the data, if ℓ of all data is no lower there. The
 /// first one stays; others are dropped that end near another one, or far below.
-pub(super) fn nearer(
+pub(super) fn refined(
     (objective, larger): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     starts: Vec<SearchStart>,
     progress: &mut dyn Progress,
 ) -> Vec<SearchStart> {
     let mut part =
-        Subsample { small: larger, more: objective.rows() as f64 / larger.rows() as f64, floor: None, progress };
+        Subsample { small: larger, more: objective.rows() as f64 / larger.rows() as f64, best_known: None, progress };
     let mut kept: Vec<SearchStart> = Vec::new();
     let mut seen: Vec<Vec<f64>> = Vec::new();
     for start in starts {
@@ -125,14 +125,14 @@ pub(super) fn nearer(
             kept.push(start);
             break;
         }
-        let (start, value, places) = part.nearer(objective, start);
-        let is_far = value.zip(part.floor).is_some_and(|(value, floor)| value < floor);
+        let (start, value, places) = part.refined(objective, start);
+        let is_far = value.zip(part.best_known).is_some_and(|(value, best_known)| value < best_known);
         if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &places[0], ALIKE))) {
             kept.push(start);
             seen.extend(places);
         }
-        let within = value.map(|value| value - CLOSE);
-        part.floor = part.floor.into_iter().chain(within).reduce(f64::max);
+        let within = value.map(|value| value - CLOSE_LOSS);
+        part.best_known = part.best_known.into_iter().chain(within).reduce(f64::max);
     }
     kept
 }
@@ -142,7 +142,7 @@ struct Subsample<'a, 'b> {
     small: &'a ProfileLikelihood<'b>,
     more: f64,
     /// ℓ on the part below which a search gives up, when it cannot reach it.
-    floor: Option<f64>,
+    best_known: Option<f64>,
     progress: &'a mut dyn Progress,
 }
 
@@ -151,15 +151,15 @@ impl Subsample<'_, '_> {
     fn end(&mut self, start: SearchStart) -> Option<(f64, SearchStart)> {
         let mut beside = SubsampleProgress { small: self.small, progress: &mut *self.progress };
         let start = SearchStart { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
-        let end = search(self.small, start, self.floor, &mut beside).ok()?;
-        let curvature = ProfileInformation::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.home))
+        let end = search(self.small, start, self.best_known, &mut beside).ok()?;
+        let curvature = ProfileInformation::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.iterate))
             .map(|curvature| curvature.times(self.more));
-        Some((end.home.value(), SearchStart { values: end.restart(), curvature }))
+        Some((end.iterate.value(), SearchStart { values: end.restart(), curvature }))
     }
 
     /// The start, or the end it leads to if ℓ of all data is no lower there; ℓ of the part at that end; and the points
     /// that count as the same: the start that is returned, and the end if that is no other maximum.
-    fn nearer(
+    fn refined(
         &mut self,
         objective: &ProfileLikelihood<'_>,
         start: SearchStart,
@@ -172,7 +172,7 @@ impl Subsample<'_, '_> {
         if here.is_none_or(|here| objective.value(&end.values).is_some_and(|there| there >= here)) {
             return (end, Some(value), vec![led]);
         }
-        let is_close = self.small.value(&start.values).is_some_and(|own| value - own <= SAME);
+        let is_close = self.small.value(&start.values).is_some_and(|own| value - own <= SAME_MAXIMUM);
         (start, Some(value), if is_close { vec![led, own] } else { vec![own] })
     }
 }

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use rayon::prelude::*;
 
 use crate::{Coordinate, DynamicError, matrices};
-use kalfit_estimate::{Estimate, NoiseInformation, ScalableNoise, Residual, Settings, Structure};
+use kalfit_estimate::{Estimate, NoiseInformation, Residual, ScalableNoise, Settings, Structure};
 use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_filter::score::InitialLaw;
 use kalfit_filter::score::{Gradient, expected_square};
@@ -36,12 +36,12 @@ pub struct Scale {
     /// The exponent k.
     power: f64,
     /// The ensemble at θ_0, where the filters ran last.
-    home: Mutex<Option<Arc<Home>>>,
+    reference: Mutex<Option<Arc<Reference>>>,
 }
 
 /// The ensemble at θ_0.
 #[derive(Debug)]
-struct Home {
+struct Reference {
     value: f64,
     /// Reductions at θ_0; r of each test is known.
     reductions: Reductions,
@@ -72,53 +72,59 @@ impl Scale {
             return None;
         }
         let power = phase.model.noise_power(slot.parameter)?;
-        Some(Scale { power, home: Mutex::new(None) })
+        Some(Scale { power, reference: Mutex::new(None) })
     }
 
     /// The ensemble at a θ_0 near θ, and λ, which is within the factor `far` of 1; `None` where other values cannot be
     /// computed from those at θ.
-    fn home(&self, value: f64, far: f64, run: FilterRun<'_>) -> Result<Option<(Arc<Home>, f64)>, DynamicError> {
+    fn reference(
+        &self,
+        value: f64,
+        far: f64,
+        run: FilterRun<'_>,
+    ) -> Result<Option<(Arc<Reference>, f64)>, DynamicError> {
         if !(value > 0.0 && value.is_finite()) {
             return Ok(None);
         }
-        let near = |home: &Arc<Home>| (far.recip()..=far).contains(&self.variance(home, value));
-        let home = match self.last().filter(near) {
-            Some(home) => home,
+        let near = |reference: &Arc<Reference>| (far.recip()..=far).contains(&self.variance(reference, value));
+        let reference = match self.last().filter(near) {
+            Some(reference) => reference,
             None => {
                 let reductions = run(value)?;
                 let unknown = |number: usize| reductions.residual(number).0.is_none();
                 if reductions.has_exact() || (0..reductions.len()).any(unknown) {
                     return Ok(None);
                 }
-                let home = Arc::new(Home { value, reductions, noisy: OnceLock::new() });
-                *self.home.lock().unwrap_or_else(PoisonError::into_inner) = Some(home.clone());
-                home
+                let reference = Arc::new(Reference { value, reductions, noisy: OnceLock::new() });
+                *self.reference.lock().unwrap_or_else(PoisonError::into_inner) = Some(reference.clone());
+                reference
             }
         };
-        let variance = self.variance(&home, value);
-        Ok((variance.is_normal() && variance.sqrt().recip().is_normal()).then_some((home, variance)))
+        let variance = self.variance(&reference, value);
+        Ok((variance.is_normal() && variance.sqrt().recip().is_normal()).then_some((reference, variance)))
     }
 
-    fn last(&self) -> Option<Arc<Home>> {
-        self.home.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    fn last(&self) -> Option<Arc<Reference>> {
+        self.reference.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The ratio of variances λ = (θ/θ_0)^k.
-    fn variance(&self, home: &Home, value: f64) -> f64 {
-        (value / home.value).powf(self.power)
+    fn variance(&self, reference: &Reference, value: f64) -> f64 {
+        (value / reference.value).powf(self.power)
     }
 
     /// The reductions at θ; `None` where they cannot be scaled from those at θ_0.
     pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
-        let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
-        Ok(scaled(home.reductions.clone(), variance))
+        let Some((reference, variance)) = self.reference(value, EXACT, run)? else { return Ok(None) };
+        Ok(scaled(reference.reductions.clone(), variance))
     }
 
     /// The reductions at θ at the end of a search: those at θ_0 are no longer kept.
     pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
-        let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
-        *self.home.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        let reductions = Arc::try_unwrap(home).map_or_else(|home| home.reductions.clone(), |home| home.reductions);
+        let Some((reference, variance)) = self.reference(value, EXACT, run)? else { return Ok(None) };
+        *self.reference.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let reductions = Arc::try_unwrap(reference)
+            .map_or_else(|reference| reference.reductions.clone(), |reference| reference.reductions);
         Ok(scaled(reductions, variance))
     }
 
@@ -129,7 +135,7 @@ impl Scale {
         value: f64,
         run: FilterRun<'_>,
     ) -> Result<Option<Reductions>, DynamicError> {
-        match self.home(origin, 1.0, run)? {
+        match self.reference(origin, 1.0, run)? {
             Some(_) => self.reductions(value, run),
             None => Ok(None),
         }
@@ -137,15 +143,15 @@ impl Scale {
 
     /// dℓ_j/dθ of each test at θ and this law; `None` where there are no reductions at a θ_0.
     pub fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
-        let home = self.last().filter(|_| value > 0.0)?;
-        let variance = self.variance(&home, value);
+        let reference = self.last().filter(|_| value > 0.0)?;
+        let variance = self.variance(&reference, value);
         let one = |(at, there): (ReductionRef<'_>, usize)| {
-            let residual = Residual::of(&home.reductions, there);
+            let residual = Residual::of(&reference.reductions, there);
             let expected = expected_square(at, law);
             let slope = 0.5 * (residual.squares / variance + expected - residual.measurements);
             vec![(0, self.power * slope / value)]
         };
-        let all: Vec<Gradient> = reductions.par_iter().zip(0..home.reductions.len()).map(one).collect();
+        let all: Vec<Gradient> = reductions.par_iter().zip(0..reference.reductions.len()).map(one).collect();
         all.iter().all(|score| score[0].1.is_finite()).then_some(all)
     }
 
@@ -157,11 +163,11 @@ impl Scale {
         (far, run): (f64, FilterRun<'_>),
         (structure, near, settings): (&Structure<'_>, Option<&Population>, &Settings),
     ) -> Result<Option<AtScale>, DynamicError> {
-        let Some((home, variance)) = self.home(value, far, run)? else { return Ok(None) };
-        if home.noisy.get().is_none() {
-            let _ = home.noisy.set(ScalableNoise::new(&home.reductions, structure, settings)?);
+        let Some((reference, variance)) = self.reference(value, far, run)? else { return Ok(None) };
+        if reference.noisy.get().is_none() {
+            let _ = reference.noisy.set(ScalableNoise::new(&reference.reductions, structure, settings)?);
         }
-        let noisy = home.noisy.get().expect("it was set");
+        let noisy = reference.noisy.get().expect("it was set");
         let estimate = noisy.fit(variance, structure, near, settings)?;
         // u = log λ = k log θ, and of a value itself ∂²u/∂θ² = -k/θ²
         let du = self.power * coordinate.slope(value) / value;

@@ -11,7 +11,7 @@ use kalfit_model::{Expression, Operator, PhasedModel, Site};
 /// Maximal number of rows of one test that are read.
 const ROWS_OF_A_TEST: usize = 20_000;
 /// Minimal number of tests that a thread reads together.
-const TOGETHER: usize = 256;
+const MIN_TESTS: usize = 256;
 /// Relative accuracy of measured values and of what is computed from them.
 const ROUNDING: f64 = 1e-12;
 /// Least relative rounding that is returned: squares of its inverse are still finite.
@@ -106,18 +106,18 @@ fn phase_rows<'a>(tests: &'a [PhasedTest], order: &[usize], at: usize) -> Vec<&'
 }
 
 /// Whether a parameter occurs at one of these sites of some phase.
-fn stands(model: &PhasedModel, parameter: usize, at: impl Fn(Site) -> bool) -> bool {
+fn occurs(model: &PhasedModel, parameter: usize, at: impl Fn(Site) -> bool) -> bool {
     expressions(model).any(|(site, expression)| at(site) && expression.mentions(parameter))
 }
 
 /// Whether a parameter occurs in the variance of a measurement's noise.
 pub(super) fn measures(model: &PhasedModel, parameter: usize) -> bool {
-    stands(model, parameter, |site| matches!(site, Site::Noise(_)))
+    occurs(model, parameter, |site| matches!(site, Site::Noise(_)))
 }
 
 /// Whether a parameter occurs in the variance of the noise of some motion.
 pub(super) fn drives(model: &PhasedModel, parameter: usize) -> bool {
-    stands(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
+    occurs(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
 }
 
 /// Whether a variance was given as a standard deviation.
@@ -142,7 +142,7 @@ fn differences(tests: &[&Test], column: usize) -> f64 {
         }
         (sum, count)
     };
-    let parts: Vec<(f64, f64)> = tests.par_iter().with_min_len(TOGETHER).map(of_test).collect();
+    let parts: Vec<(f64, f64)> = tests.par_iter().with_min_len(MIN_TESTS).map(of_test).collect();
     let (sum, count) = parts.iter().fold((0.0, 0.0), |(sum, n), (part, more)| (sum + part, n + more));
     let size: f64 = if sum > 0.0 { f64::sqrt(sum / count) } else { spread(tests, column) };
     if size > 0.0 && size.is_finite() { size } else { 1.0 }

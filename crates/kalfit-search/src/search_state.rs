@@ -14,15 +14,15 @@ pub(super) const LONGEST: f64 = 2.0;
 /// Decrement, in tolerances, that is near enough to the optimum where rounding keeps the search from advancing.
 pub(super) const NEAR_ENOUGH: f64 = 1e2;
 /// Step of a logarithm above which the value is moving far.
-pub(super) const DRIFT: f64 = 0.25;
+pub(super) const FAR_STEP: f64 = 0.25;
 /// Decrement, in standard errors, up to which a search has arrived.
-const ARRIVED: f64 = 1e-5;
+const ARRIVED_DECREMENT: f64 = 1e-5;
 /// Part of the size suggested by the data below which a level's own value is not taken as its size.
-const FAR_BELOW: f64 = 1e-3;
+const MIN_SIZE: f64 = 1e-3;
 /// Part of its former size at which a value at zero restarts.
-const RETURN: f64 = 5e-2;
+const RESTART_SIZE: f64 = 5e-2;
 /// Smallest rise of ℓ that counts as one.
-pub(super) const RISE: f64 = 1e-8;
+pub(super) const MIN_RISE: f64 = 1e-8;
 
 /// Start of a search.
 #[derive(Debug, Clone)]
@@ -42,25 +42,25 @@ impl From<Vec<f64>> for SearchStart {
 pub struct SearchState<'b, 'a> {
     pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) progress: &'b mut dyn Progress,
-    pub(crate) home: ProfilePoint,
+    pub(crate) iterate: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
     pub(crate) trace: Vec<f64>,
     /// The value of each coordinate before it was set to zero.
     pub(super) before_zero: Vec<f64>,
     /// The least value of each level: its bound, or a little more where ℓ is not defined there.
-    pub(super) bottom: Vec<f64>,
+    pub(super) lower_limit: Vec<f64>,
     pub(super) damping: f64,
-    pub(super) floor: Option<f64>,
+    pub(super) best_known: Option<f64>,
     pub(super) held: Option<usize>,
     /// Whether each value was left on its way to zero or to infinity.
-    pub(super) drifted: Vec<bool>,
-    pub(super) faint_looks: usize,
+    pub(super) marked_unbounded: Vec<bool>,
+    pub(super) flat_probes: usize,
     pub(super) ridges: RidgesSeen,
     /// Decrement at the last step without new second derivatives.
-    pub(super) glided: Option<f64>,
+    pub(super) last_decrement: Option<f64>,
     pub(super) given_up: bool,
     /// Number of consecutive steps that did not raise ℓ.
-    pub(super) level_steps: usize,
+    pub(super) flat_steps: usize,
     /// Number of consecutive steps that raised ℓ by more than predicted.
     pub(super) short_steps: usize,
     /// Differences are two-sided, also far from the optimum.
@@ -75,14 +75,14 @@ pub(super) struct RidgesSeen {
     /// Distance from the top of the ridge, in standard errors.
     pub(super) below: f64,
     /// Number of attempts that found no ridge.
-    pub(super) missed: usize,
+    pub(super) failures: usize,
     /// Number of moves along ridges.
     pub(super) moves: usize,
 }
 
 /// End of a search.
 pub struct SearchEnd {
-    pub home: ProfilePoint,
+    pub iterate: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
     pub(crate) joint: JointInformation,
     pub(crate) certificate: f64,
@@ -97,13 +97,13 @@ pub struct SearchEnd {
 impl SearchEnd {
     /// Whether a level is at zero, or as near to it as ℓ is defined.
     pub(crate) fn is_at_zero(&self, s: usize) -> bool {
-        self.home.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
+        self.iterate.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
     }
 
     /// The values as a new start: those at zero are raised a little, so that they can move.
     pub(crate) fn restart(&self) -> Vec<f64> {
-        let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RETURN * before } else { *value };
-        self.home.values.iter().zip(&self.before_zero).map(zero).collect()
+        let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RESTART_SIZE * before } else { *value };
+        self.iterate.values.iter().zip(&self.before_zero).map(zero).collect()
     }
 }
 
@@ -111,45 +111,45 @@ impl<'b, 'a> SearchState<'b, 'a> {
     pub fn new(
         objective: &'b ProfileLikelihood<'a>,
         progress: &'b mut dyn Progress,
-        home: ProfilePoint,
+        iterate: ProfilePoint,
     ) -> SearchState<'b, 'a> {
-        let n = home.values.len();
-        let trace = vec![home.value()];
-        let unit = |(value, unit): (&f64, &f64)| if *value > FAR_BELOW * unit { *value } else { *unit };
-        let before_zero = home.values.iter().zip(objective.units()).map(unit).collect();
-        let bottom = objective.coordinates.iter().map(|coordinate| coordinate.lower).collect();
+        let n = iterate.values.len();
+        let trace = vec![iterate.value()];
+        let unit = |(value, unit): (&f64, &f64)| if *value > MIN_SIZE * unit { *value } else { *unit };
+        let before_zero = iterate.values.iter().zip(objective.units()).map(unit).collect();
+        let lower_limit = objective.coordinates.iter().map(|coordinate| coordinate.lower).collect();
         let mut search = SearchState {
             objective,
             progress,
-            home,
+            iterate,
             standing: vec![Standing::Inside; n],
             trace,
             before_zero,
-            bottom,
+            lower_limit,
             damping: 0.0,
-            floor: None,
+            best_known: None,
             held: None,
-            drifted: vec![false; n],
-            faint_looks: 0,
+            marked_unbounded: vec![false; n],
+            flat_probes: 0,
             ridges: RidgesSeen::default(),
-            glided: None,
+            last_decrement: None,
             given_up: false,
-            level_steps: 0,
+            flat_steps: 0,
             short_steps: 0,
             is_central: false,
             level_scale: LevelScale::Logarithm,
         };
-        search.place();
+        search.update_standing();
         search
     }
 
     /// Updates where each value stands: at a bound past which ℓ rises, or free to move.
-    pub(super) fn place(&mut self) {
+    pub(super) fn update_standing(&mut self) {
         for s in 0..self.standing.len() {
             let (coordinate, value, slope) =
-                (self.objective.coordinates[s], self.home.values[s], self.home.gradient[s]);
+                (self.objective.coordinates[s], self.iterate.values[s], self.iterate.gradient[s]);
             self.standing[s] = match self.standing[s] {
-                kept if self.drifted[s] => kept,
+                kept if self.marked_unbounded[s] => kept,
                 _ if coordinate.log && value == 0.0 => Standing::Lower,
                 _ if self.is_vanishing(s) => Standing::Vanishing,
                 _ if coordinate.at_lower(value) && slope <= 0.0 => Standing::Lower,
@@ -165,21 +165,21 @@ impl<'b, 'a> SearchState<'b, 'a> {
     }
 
     /// Sets the best known ℓ: the search gives up where it cannot reach it.
-    pub(crate) fn beyond(mut self, floor: Option<f64>) -> Self {
-        self.floor = floor;
+    pub(crate) fn with_best_known(mut self, best_known: Option<f64>) -> Self {
+        self.best_known = best_known;
         self
     }
 
     /// Whether the search cannot reach the best known ℓ.
-    pub(super) fn hopeless(&self, decrement: f64) -> bool {
-        let room = if decrement > ARRIVED { (3.0 * decrement).min(1.0) } else { 0.0 };
-        let promised = self.home.value() + 2.0 * decrement * decrement + room;
-        self.trace.len() > 3 && self.floor.is_some_and(|floor| promised < floor)
+    pub(super) fn cannot_reach_best(&self, decrement: f64) -> bool {
+        let room = if decrement > ARRIVED_DECREMENT { (3.0 * decrement).min(1.0) } else { 0.0 };
+        let promised = self.iterate.value() + 2.0 * decrement * decrement + room;
+        self.trace.len() > 3 && self.best_known.is_some_and(|best_known| promised < best_known)
     }
 
     /// Whether the search cannot reach the best known ℓ, and no level is at zero, from where it could return.
-    pub(super) fn is_lost(&self, decrement: f64) -> bool {
-        self.hopeless(decrement) && self.zeros().is_empty()
+    pub(super) fn is_out_of_reach(&self, decrement: f64) -> bool {
+        self.cannot_reach_best(decrement) && self.zeros().is_empty()
     }
 
     pub(super) fn active(&self) -> Vec<bool> {
@@ -193,7 +193,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
     /// Loss of ℓ that may be rounding.
     pub(super) fn slack(&self) -> f64 {
-        1e-12 * self.home.value().abs().max(1.0)
+        1e-12 * self.iterate.value().abs().max(1.0)
     }
 
     /// Whether the caller asks the search to stop.
@@ -202,37 +202,37 @@ impl<'b, 'a> SearchState<'b, 'a> {
     }
 
     /// Reports a stage of the search.
-    pub(super) fn say(&mut self, stage: Stage<'_>) {
+    pub(super) fn report_stage(&mut self, stage: Stage<'_>) {
         self.progress.stage(stage);
     }
 
     /// Reports a step: ℓ after it, and the decrement where that is known.
-    pub(super) fn tell(&mut self, decrement: Option<f64>) {
-        self.trace.push(self.home.value());
+    pub(super) fn report_step(&mut self, decrement: Option<f64>) {
+        self.trace.push(self.iterate.value());
         let passes = self.objective.filter_passes();
-        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement });
+        self.progress.step(Step { passes, log_likelihood: self.iterate.value(), decrement });
     }
 
     /// Gradient along the coordinates of (μ, Σ): zero where they have been solved for.
     pub(super) fn inner_gradient(&self) -> &DVector<f64> {
-        &self.home.estimate.state.newton_iterate.tangent.gradient
+        &self.iterate.estimate.state.newton_iterate.tangent.gradient
     }
 
     /// The point at other values, solved from the present (μ, Σ); `None` where ℓ is not defined.
     pub(super) fn at(&self, values: &[f64]) -> Option<ProfilePoint> {
-        let near = Population::from(&self.home.estimate);
+        let near = Population::from(&self.iterate.estimate);
         let solved = self.objective.solve(values, Some(&near)).ok()?;
         solved.value().is_finite().then_some(solved)
     }
 
     /// Moves the search to a new point.
-    pub(super) fn arrive(&mut self, next: ProfilePoint) {
+    pub(super) fn move_to(&mut self, next: ProfilePoint) {
         for s in 0..next.values.len() {
-            let (before, value) = (self.home.values[s], next.values[s]);
-            if value <= self.bottom[s] && before > self.bottom[s] && before > FAR_BELOW * self.before_zero[s] {
+            let (before, value) = (self.iterate.values[s], next.values[s]);
+            if value <= self.lower_limit[s] && before > self.lower_limit[s] && before > MIN_SIZE * self.before_zero[s] {
                 self.before_zero[s] = before;
             }
         }
-        self.home = next;
+        self.iterate = next;
     }
 }

@@ -10,17 +10,17 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::DynamicError;
 use crate::balance::balance;
 use crate::profile_likelihood::ProfileLikelihood;
-use crate::sample::{larger, nearer, promising, roughly, sample, total};
+use crate::sample::{larger, promising, refined, rough_settings, sample, total};
 use crate::scales::{drives, measures, time_constants};
 use crate::search_state::SearchStart;
-use crate::tries::{other_maxima, scan, valued};
+use crate::tries::{other_maxima, scan, with_likelihood};
 use kalfit_estimate::Progress;
 use kalfit_model::Value;
 
 /// Number of points scattered about the first guess.
 const SCATTERED: usize = 40;
 /// Spread of these points: standard deviation of a logarithm.
-const WIDE: f64 = 2.5;
+const SCATTER_SPREAD: f64 = 2.5;
 /// Spread of random starts: standard deviation of a logarithm.
 const SPREAD: f64 = 1.5;
 
@@ -56,10 +56,10 @@ pub(crate) fn starts(
     let free = (0..objective.model.shared().parameters.len()).filter(|&p| objective.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
     let mut starts = promising((objective, &small), given, all, progress);
-    let settings = roughly(objective.settings);
+    let settings = rough_settings(objective.settings);
     for part in larger(objective.tests, common) {
         let larger = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
-        starts = nearer((objective, &larger), starts, progress);
+        starts = refined((objective, &larger), starts, progress);
     }
     Ok(starts)
 }
@@ -120,20 +120,20 @@ pub(crate) fn all_given(objective: &ProfileLikelihood<'_>) -> bool {
 
 /// Parameters without a start value, by index.
 fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
-    let told = |value: Value, log: bool| match value {
+    let is_given = |value: Value, log: bool| match value {
         Value::Free { start: Some(start) } => !(log && start == 0.0), // a logarithm cannot start at zero
         Value::Free { start: None } => false,
         Value::Fixed(_) => true,
     };
     let parameters = objective.model.shared().parameters.iter().enumerate();
     parameters
-        .filter(|(p, what)| objective.slots.is_free(*p) && !told(what.value, what.positive))
+        .filter(|(p, what)| objective.slots.is_free(*p) && !is_given(what.value, what.positive))
         .map(|(p, _)| p)
         .collect()
 }
 
-/// A first value for each slot; `heeded`: start values that were given are used.
-fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
+/// A first value for each slot; `use_given`: start values that were given are used.
+fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
     let scales = objective.scales();
     let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
     let one = |(s, slot): (usize, &kalfit_model::Slot)| {
@@ -144,7 +144,7 @@ fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
             return if let Value::Free { start: Some(start) } = parameter.value { start } else { 0.0 };
         }
         let guess = match parameter.value {
-            Value::Free { start: Some(start) } if heeded && !(coordinate.log && start == 0.0) => start,
+            Value::Free { start: Some(start) } if use_given && !(coordinate.log && start == 0.0) => start,
             _ if coordinate.log || is_noise(slot.parameter) => scales.guess(objective.model, slot.parameter),
             _ => 0.0,
         };
@@ -171,11 +171,11 @@ fn scattered(
         let moved = |(s, value): (usize, &f64)| {
             let parameter = small.slots.slots()[s].parameter;
             let own = unknown.contains(&parameter) && small.coordinates[s].log;
-            if own { small.coordinates[s].moved(*value, WIDE * draws[parameter]) } else { *value }
+            if own { small.coordinates[s].moved(*value, SCATTER_SPREAD * draws[parameter]) } else { *value }
         };
         places.push(first.iter().enumerate().map(moved).collect());
     }
-    let mut found = valued(small, places, progress);
+    let mut found = with_likelihood(small, places, progress);
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     found.into_iter().take(2).map(|(values, _)| values).collect()
 }

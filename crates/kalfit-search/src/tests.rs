@@ -23,9 +23,9 @@ pub(super) fn check_gradient((model, tests, slots): (&PhasedModel, &[PhasedTest]
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
         let objective = ProfileLikelihood::new(model, tests, slots, &settings);
-        let home = objective.solve(values, None).expect("defined");
-        assert_eq!(home.gradient.len(), values.len());
-        for (s, found) in home.gradient.iter().enumerate() {
+        let iterate = objective.solve(values, None).expect("defined");
+        assert_eq!(iterate.gradient.len(), values.len());
+        for (s, found) in iterate.gradient.iter().enumerate() {
             let at = |h: f64| {
                 let mut moved = values.to_vec();
                 moved[s] = objective.coordinates[s].moved(moved[s], h);
@@ -117,9 +117,9 @@ fn the_information_in_a_scale_of_all_noise_is_that_of_differences() {
             let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
             let filtered = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
             for value in [0.3, 0.9] {
-                let home = objective.solve(&[value], None).expect("defined");
+                let iterate = objective.solve(&[value], None).expect("defined");
                 let by_filters = filtered.solve(&[value], None).expect("defined");
-                let found = JointInformation::new(&objective, &home, &[true], false).undivided_matrix();
+                let found = JointInformation::new(&objective, &iterate, &[true], false).undivided_matrix();
                 let expected = JointInformation::new(&filtered, &by_filters, &[true], true).undivided_matrix();
                 let off = (&found - &expected).amax() / expected.amax();
                 assert!(off < 1e-6, "{criterion:?} {value} {positive}: {found} {expected}");
@@ -157,8 +157,8 @@ fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance
         let settings = settings(Method::Hybrid, criterion);
         let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
         let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
-        let home = objective.solve(&values, None).expect("defined");
-        let found = JointInformation::new(&objective, &home, &[true; 5], true).covariances();
+        let iterate = objective.solve(&values, None).expect("defined");
+        let found = JointInformation::new(&objective, &iterate, &[true; 5], true).covariances();
         // the profile information, by differences of gradients that each come with their own mean and covariance
         let h = 1e-4;
         let information = nalgebra::DMatrix::from_fn(5, 5, |i, s| {
@@ -216,12 +216,12 @@ fn values_of_single_tests_are_eliminated_exactly() {
     let settings = settings(Method::Hybrid, Criterion::Ml);
     let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
     let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
-    let home = objective.solve(&values, None).expect("defined");
-    let joint = JointInformation::new(&objective, &home, &[true; 33], true);
+    let iterate = objective.solve(&values, None).expect("defined");
+    let joint = JointInformation::new(&objective, &iterate, &[true; 33], true);
     assert_eq!(joint.shared().len(), 3, "the others are of single tests");
     let whole = joint.undivided();
-    let inner = home.estimate.state.newton_iterate.tangent.gradient.clone();
-    let (a, b) = (joint.step(&home.gradient, &inner, 0.0), whole.step(&home.gradient, &inner, 0.0));
+    let inner = iterate.estimate.state.newton_iterate.tangent.gradient.clone();
+    let (a, b) = (joint.step(&iterate.gradient, &inner, 0.0), whole.step(&iterate.gradient, &inner, 0.0));
     assert!(a.concave && b.concave, "at a maximum the curvature is positive");
     for (a, b) in a.alpha.iter().zip(&b.alpha) {
         assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} {b}");
@@ -263,14 +263,14 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
     let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
     assert_eq!(objective.twins.len(), 1, "they may change places");
     let search = |values: [f64; 5], held: Option<usize>, silent: &mut Silent| {
-        let home = objective.solve(&values, None).expect("defined");
-        let before = home.value();
-        let mut search = SearchState::new(&objective, silent, home);
+        let iterate = objective.solve(&values, None).expect("defined");
+        let before = iterate.value();
+        let mut search = SearchState::new(&objective, silent, iterate);
         held.into_iter().for_each(|s| search.hold(s));
-        (search.joined(), search.home.value() - before, search.home.values.clone())
+        (search.merge_pair(), search.iterate.value() - before, search.iterate.values.clone())
     };
-    let (joined, gain, values) = search([1.5, 0.3, 1.5, 0.4, 0.5], None, &mut Silent);
-    assert!(joined && gain.abs() < 1e-9, "ℓ rises by {gain}");
+    let (merge_pair, gain, values) = search([1.5, 0.3, 1.5, 0.4, 0.5], None, &mut Silent);
+    assert!(merge_pair && gain.abs() < 1e-9, "ℓ rises by {gain}");
     assert!((values[1] - 0.5).abs() < 1e-12 && values[3] == 0.0, "one has the variance of both: {values:?}");
     let held = search([1.5, 0.3, 1.5, 0.4, 0.5], Some(3), &mut Silent);
     assert!(!held.0, "a value that is held stays: {:?}", held.2);
@@ -282,10 +282,10 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
             let one = objective.twins[0].merged(&values, &objective.coordinates).expect("they are close");
             let [gain, other] =
                 [&one, &values.to_vec()].map(|values| objective.filtered_value(values).expect("defined"));
-            let (joined, rise, _) = search(values, None, &mut Silent);
-            outcomes[usize::from(joined)] += 1;
-            assert_eq!(joined, gain - other >= -5e-9, "{values:?}: ℓ rises by {:e}", gain - other);
-            assert!(!joined || (rise - (gain - other)).abs() < 1e-9, "{rise:e} and {:e}", gain - other);
+            let (merge_pair, rise, _) = search(values, None, &mut Silent);
+            outcomes[usize::from(merge_pair)] += 1;
+            assert_eq!(merge_pair, gain - other >= -5e-9, "{values:?}: ℓ rises by {:e}", gain - other);
+            assert!(!merge_pair || (rise - (gain - other)).abs() < 1e-9, "{rise:e} and {:e}", gain - other);
         }
     }
     assert!(outcomes.iter().all(|many| *many > 0), "apart, joined: {outcomes:?}");

@@ -4,25 +4,25 @@ use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_estimate::{Progress, Stage};
 
 /// Ratio of successive values tried for a logarithm.
-pub(super) const FACTOR: f64 = 4.0;
+pub(super) const TRIAL_FACTOR: f64 = 4.0;
 /// Number of values tried to each side.
-const EACH_SIDE: i32 = 6;
+const POWERS_EACH_SIDE: i32 = 6;
 /// Largest power of this factor by which a value may be off the size that the data suggest and still be the middle of
 /// the trials.
-const NEAR: f64 = 4.0;
+const MAX_POWERS_OFF: f64 = 4.0;
 /// Number of points that are evaluated between two checks whether the caller still waits.
-const AT_A_TIME: usize = 8;
+const BATCH: usize = 8;
 /// Difference of ℓ that may be rounding.
 const ROUNDING: f64 = 1e-8;
 /// Step, in powers of the factor, by which the time constant of a nearly white process is lengthened.
-const FINE: f64 = 0.25;
+const FINE_STEP: f64 = 0.25;
 /// Number of these steps.
 const FINE_STEPS: usize = 12;
 /// Values tried for a parameter that is not sought by its logarithm.
-const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
+const OTHER_VALUES: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 /// Rise of ℓ that each later one of these values must bring: where a coefficient and a mean move as one, large values
 /// cost digits.
-const BETTER: f64 = 1e-3;
+const MIN_RISE: f64 = 1e-3;
 
 /// ℓ at each of some points, with reports of progress; points have no value once the caller no longer waits.
 pub(super) fn tried(
@@ -30,7 +30,7 @@ pub(super) fn tried(
     places: &[Vec<f64>],
     progress: &mut dyn Progress,
 ) -> Vec<Option<f64>> {
-    let at_a_time = if small.is_narrow() { AT_A_TIME } else { 1 };
+    let at_a_time = if small.is_parallel_over_alpha() { BATCH } else { 1 };
     let some = |places: &[Vec<f64>]| {
         progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
         if progress.stops() { vec![None; places.len()] } else { small.each(places, |place| small.value(place)) }
@@ -49,7 +49,7 @@ pub(super) fn scan(
     places.extend(grid(small, parameter, values));
     let of_logarithms =
         small.slots.slots().iter().zip(&small.coordinates).any(|(slot, c)| slot.parameter == parameter && c.log);
-    if let Some((best, _)) = best(small, places, if of_logarithms { 0.0 } else { BETTER }, progress) {
+    if let Some((best, _)) = best(small, places, if of_logarithms { 0.0 } else { MIN_RISE }, progress) {
         *values = best;
     }
 }
@@ -61,10 +61,10 @@ pub(super) fn best_of(
     values: &[f64],
     progress: &mut dyn Progress,
 ) -> Option<(Vec<f64>, f64)> {
-    let valued = valued(objective, grid(objective, parameter, values), progress);
-    let highest = valued.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
+    let with_likelihood = with_likelihood(objective, grid(objective, parameter, values), progress);
+    let highest = with_likelihood.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
     // the last of those that are equal within rounding: the longest time constant of a nearly white process
-    valued.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
+    with_likelihood.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
 }
 
 /// Lengthens the time constant of a nearly white process to where ℓ is highest: while it affects only the shortest
@@ -78,7 +78,7 @@ pub(super) fn longer(
     let Some(slot) = objective.slots.common(parameter).filter(|&s| objective.coordinates[s].log) else { return values };
     let at = |k: usize| {
         let mut moved = values.clone();
-        moved[slot] = objective.coordinates[slot].moved(values[slot], k as f64 * FINE * FACTOR.ln());
+        moved[slot] = objective.coordinates[slot].moved(values[slot], k as f64 * FINE_STEP * TRIAL_FACTOR.ln());
         moved
     };
     let found =
@@ -94,19 +94,19 @@ fn grid(small: &ProfileLikelihood<'_>, parameter: usize, values: &[f64]) -> Vec<
     // the size that the data suggest, where a search has gone far from it
     let middle = |s: usize, v: f64| {
         let unit = small.units()[s];
-        if (v / unit).ln().abs() <= NEAR * FACTOR.ln() { v } else { unit }
+        if (v / unit).ln().abs() <= MAX_POWERS_OFF * TRIAL_FACTOR.ln() { v } else { unit }
     };
     if (0..values.len()).any(|s| own(s) && small.coordinates[s].log) {
-        (-EACH_SIDE..=EACH_SIDE)
-            .map(|k| with(&|s, v| small.coordinates[s].moved(middle(s, v), f64::from(k) * FACTOR.ln())))
+        (-POWERS_EACH_SIDE..=POWERS_EACH_SIDE)
+            .map(|k| with(&|s, v| small.coordinates[s].moved(middle(s, v), f64::from(k) * TRIAL_FACTOR.ln())))
             .collect()
     } else {
-        TRIED.iter().map(|&x| with(&|s, _| small.coordinates[s].inside(x))).collect()
+        OTHER_VALUES.iter().map(|&x| with(&|s, _| small.coordinates[s].inside(x))).collect()
     }
 }
 
 /// The points where ℓ is defined, and ℓ there.
-pub(super) fn valued(
+pub(super) fn with_likelihood(
     small: &ProfileLikelihood<'_>,
     places: Vec<Vec<f64>>,
     progress: &mut dyn Progress,
@@ -122,7 +122,9 @@ fn best(
     apart: f64,
     progress: &mut dyn Progress,
 ) -> Option<(Vec<f64>, f64)> {
-    valued(small, places, progress).into_iter().reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
+    with_likelihood(small, places, progress)
+        .into_iter()
+        .reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
 }
 
 /// Starts at maxima of ℓ over the powers of a time constant, other than the one at the first start.
@@ -137,7 +139,8 @@ pub(super) fn other_maxima(
     let values: Vec<f64> = values.into_iter().map(|value| value.unwrap_or(f64::NEG_INFINITY)).collect();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
     let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];
-    let alike = |(s, value): (usize, &f64)| *value == first[s] || (value / first[s]).ln().abs() <= 1.01 * FACTOR.ln();
+    let alike =
+        |(s, value): (usize, &f64)| *value == first[s] || (value / first[s]).ln().abs() <= 1.01 * TRIAL_FACTOR.ln();
     let near = |k: usize| grid[k].iter().enumerate().all(alike);
     (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()
 }

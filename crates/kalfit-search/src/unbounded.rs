@@ -16,24 +16,24 @@ use crate::search_state::SearchEnd;
 use kalfit_estimate::Stop;
 
 /// Part of the size suggested by the data below which a level is on its way to zero.
-const SUNK: f64 = 1e-2;
+const NEAR_ZERO: f64 = 1e-2;
 /// Number of powers of ten by which levels are below the sizes suggested by the data where ℓ is first evaluated.
-const FIRST: f64 = 3.0;
+const FIRST_DEPTH: f64 = 3.0;
 /// Number of steps from there to where rounding matters.
 const STEPS: usize = 3;
 /// Least range of all these steps, in powers of ten: over a smaller one, noise cannot be distinguished from rounding.
-const ROOM: f64 = 2.0;
+const MIN_DEPTH_RANGE: f64 = 2.0;
 /// Least rise of ℓ for a power of ten that counts: a single exact measurement gives log 10.
-const LEAST: f64 = 1.0;
+const MIN_RISE: f64 = 1.0;
 /// Relative difference up to which rises are equal.
 const EQUAL: f64 = 0.02;
 /// Number of levels above which they are not examined one by one.
-const FEW: usize = 8;
+const MAX_SINGLE: usize = 8;
 
 /// The end where ℓ rises without bound, and the levels that go to zero there: the best end, or the highest uncertified
 /// one above it.
 pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
-    let value = |at: usize| ends[at].home.value();
+    let value = |at: usize| ends[at].iterate.value();
     let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
     let highest = higher.max_by(|&a, &b| value(a).total_cmp(&value(b)));
     let mut places = std::iter::once(best).chain(highest).filter(|&at| is_open(objective, &ends[at]));
@@ -45,13 +45,13 @@ pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: 
 fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
     let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
     let tiny = |s: usize| {
-        let value = end.home.values[s];
-        value > 0.0 && value < fallen(&objective.coordinates[s], objective.units()[s], FIRST)
+        let value = end.iterate.values[s];
+        value > 0.0 && value < lowered_level(&objective.coordinates[s], objective.units()[s], FIRST_DEPTH)
     };
     let is_open = |s: usize| objective.coordinates[s].level.is_some() && (left(s) || tiny(s));
     match end.stop {
         Stop::Interrupted => false,
-        Stop::Certified => (0..end.home.values.len()).any(is_open),
+        Stop::Certified => (0..end.iterate.values.len()).any(is_open),
         Stop::PassLimit | Stop::Stalled => true,
     }
 }
@@ -59,18 +59,18 @@ fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
 /// The fewest levels found with which ℓ rises without bound as they go to zero together.
 fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
     let depth = depth(objective)?;
-    let (values, units) = (&end.home.values, objective.units());
+    let (values, units) = (&end.iterate.values, objective.units());
     let all: Vec<usize> = (0..values.len()).filter(|&s| can_vanish(&objective.coordinates[s])).collect();
-    let sunk: Vec<usize> = all.iter().copied().filter(|&s| values[s] <= SUNK * units[s]).collect();
-    let mut sets = vec![sunk.clone()];
-    if sunk.len() > 1 && sunk.len() <= FEW {
-        sets.extend(sunk.iter().map(|&s| vec![s]));
+    let near_zero: Vec<usize> = all.iter().copied().filter(|&s| values[s] <= NEAR_ZERO * units[s]).collect();
+    let mut sets = vec![near_zero.clone()];
+    if near_zero.len() > 1 && near_zero.len() <= MAX_SINGLE {
+        sets.extend(near_zero.iter().map(|&s| vec![s]));
     }
-    if sunk.len() < all.len() {
+    if near_zero.len() < all.len() {
         sets.push(all);
     }
     let mut found = sets.into_iter().find(|set| !set.is_empty() && rises(objective, values, set, depth))?;
-    if found.len() > FEW {
+    if found.len() > MAX_SINGLE {
         return Some(found);
     }
     let mut values = values.clone();
@@ -95,22 +95,22 @@ fn can_vanish(coordinate: &Coordinate) -> bool {
 /// where it is too small to decide.
 fn depth(objective: &ProfileLikelihood<'_>) -> Option<f64> {
     let depth = -relative_rounding(objective.model, objective.tests, objective.order()).log10();
-    (depth >= FIRST + ROOM).then_some(depth)
+    (depth >= FIRST_DEPTH + MIN_DEPTH_RANGE).then_some(depth)
 }
 
 /// The value of a level whose standard deviation is `powers` powers of ten below the size suggested by the data.
-fn fallen(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
+fn lowered_level(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
     unit * 10f64.powf(-2.0 * powers / coordinate.level.unwrap_or(2.0))
 }
 
 /// Whether ℓ rises equally with each power of ten by which these levels fall.
 fn rises(objective: &ProfileLikelihood<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
-    let step = (depth - FIRST) / STEPS as f64;
+    let step = (depth - FIRST_DEPTH) / STEPS as f64;
     let at = |k: usize| {
-        let powers = FIRST + k as f64 * step;
+        let powers = FIRST_DEPTH + k as f64 * step;
         let mut values = values.to_vec();
         for &s in set {
-            values[s] = fallen(&objective.coordinates[s], objective.units()[s], powers);
+            values[s] = lowered_level(&objective.coordinates[s], objective.units()[s], powers);
         }
         objective.filtered_value(&values)
     };
@@ -119,6 +119,6 @@ fn rises(objective: &ProfileLikelihood<'_>, values: &[f64], set: &[usize], depth
         let Some(value) = at(k) else { return false };
         let rise = (value - std::mem::replace(&mut last, value)) / step;
         let first = *first.get_or_insert(rise);
-        rise >= LEAST && (rise - first).abs() <= EQUAL * first
+        rise >= MIN_RISE && (rise - first).abs() <= EQUAL * first
     })
 }

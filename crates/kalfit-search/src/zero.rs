@@ -4,43 +4,43 @@ use crate::Standing;
 use crate::joint;
 use crate::joint::JointInformation;
 use crate::profile_likelihood::ProfilePoint;
-use crate::search_state::{DRIFT, SearchState};
+use crate::search_state::{FAR_STEP, SearchState};
 
 /// Ratio of curvature to slope of a logarithm up to which no optimum is in sight: ℓ levels off towards a bound, as 1/x,
 /// x² or the like.
-const LEVEL: f64 = 3.5;
+const FLAT_RATIO: f64 = 3.5;
 /// Slope of such a logarithm below which its bound is tried: little of ℓ can then be gained on the way.
-const TAIL: f64 = 0.1;
+const MAX_TAIL_SLOPE: f64 = 0.1;
 /// Slope of a level below which it may move in its variance, where ℓ is straighter in that.
-const STEEP: f64 = 5.0;
+const MAX_LEVEL_SLOPE: f64 = 5.0;
 /// Negative curvature in a variance, relative to its slope, that is treated as zero.
-const HOLLOW: f64 = 0.1;
+const MAX_NEGATIVE_CURVATURE: f64 = 0.1;
 /// Remaining rise of ℓ up to which a value on its way to infinity or to zero is left where it is.
-const BEYOND: f64 = 1e-7;
+const NEGLIGIBLE_GAIN: f64 = 1e-7;
 /// Part of its former size that stands for a level at zero where ℓ is not defined there: its square does not affect ℓ,
 /// and scores keep their digits.
 const NEARLY_ZERO: f64 = 1e-4;
-/// Where ℓ would rise by more than [`BEYOND`] towards zero, a level is lowered until this part of [`BEYOND`] is left.
-const NEARER: f64 = 0.1;
+/// Where ℓ would rise by more than [`NEGLIGIBLE_GAIN`] towards zero, a level is lowered until this part of [`NEGLIGIBLE_GAIN`] is left.
+const REMAINING_GAIN: f64 = 0.1;
 /// Part of its former size below which a level may be without effect on ℓ.
-const FEW_PARTS: f64 = 1e-2;
+const SMALL_LEVEL: f64 = 1e-2;
 /// Slope and curvature below which such a level has no effect on ℓ.
-const UNFELT: f64 = 1e-6;
+const NO_EFFECT: f64 = 1e-6;
 
 impl SearchState<'_, '_> {
     /// Levels at zero, or as near to it as ℓ is defined.
     pub(super) fn zeros(&self) -> Vec<usize> {
-        (0..self.home.values.len()).filter(|&s| self.is_at_zero(s)).collect()
+        (0..self.iterate.values.len()).filter(|&s| self.is_at_zero(s)).collect()
     }
 
     /// Whether a noise level is at its least value.
     pub(super) fn is_at_zero(&self, s: usize) -> bool {
-        self.objective.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s]
+        self.objective.coordinates[s].level.is_some() && self.iterate.values[s] <= self.lower_limit[s]
     }
 
     /// Whether a level is held above zero because ℓ, though higher near zero, is not defined there.
     pub(super) fn is_vanishing(&self, s: usize) -> bool {
-        self.is_at_zero(s) && self.bottom[s] > self.objective.coordinates[s].lower
+        self.is_at_zero(s) && self.lower_limit[s] > self.objective.coordinates[s].lower
     }
 
     /// Levels for which ℓ is straighter in the variance than in the logarithm, with their exponents: those that would
@@ -48,9 +48,9 @@ impl SearchState<'_, '_> {
     pub(super) fn levels_near_zero(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let near = |&s: &usize| -> Option<(usize, f64)> {
             let exponent = self.objective.coordinates[s].level?;
-            let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
+            let (slope, bend) = (self.iterate.gradient[s], joint.curvature(s));
             let straight = exponent * slope.abs();
-            let sinks = slope < 0.0 && slope > -STEEP && bend > 0.9 * straight && bend < 2.0 * straight;
+            let sinks = slope < 0.0 && slope > -MAX_LEVEL_SLOPE && bend > 0.9 * straight && bend < 2.0 * straight;
             let rises = slope > 0.0 && bend < 0.5 * straight && bend > -1.1 * straight;
             (sinks || rises).then_some((s, exponent))
         };
@@ -61,61 +61,65 @@ impl SearchState<'_, '_> {
     pub(super) fn all_levels(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let level = |&s: &usize| {
             let exponent = self.objective.coordinates[s].level?;
-            let bend = exponent * self.home.gradient[s];
-            (joint.curvature(s) + bend > -HOLLOW * bend.abs()).then_some((s, exponent))
+            let bend = exponent * self.iterate.gradient[s];
+            (joint.curvature(s) + bend > -MAX_NEGATIVE_CURVATURE * bend.abs()).then_some((s, exponent))
         };
         joint.active.iter().filter_map(level).collect()
     }
 
     /// The point with levels a little above zero, where ℓ is not defined with them at zero; they go no lower from now
     /// on.
-    pub(super) fn above_zero(&mut self, values: &[f64]) -> Option<ProfilePoint> {
+    pub(super) fn try_above_zero(&mut self, values: &[f64]) -> Option<ProfilePoint> {
         let mut raised = values.to_vec();
-        let fell =
-            |&s: &usize| self.objective.coordinates[s].level.is_some() && values[s] == 0.0 && self.home.values[s] > 0.0;
+        let fell = |&s: &usize| {
+            self.objective.coordinates[s].level.is_some() && values[s] == 0.0 && self.iterate.values[s] > 0.0
+        };
         let fallen: Vec<usize> = (0..values.len()).filter(fell).collect();
         if fallen.is_empty() {
             return None;
         }
-        fallen.iter().for_each(|&s| raised[s] = self.home.values[s].min(NEARLY_ZERO * self.size(s)));
-        let slack = 1e-11 * self.home.value().abs().max(1.0);
-        let next = self.at(&raised).filter(|next| next.value() >= self.home.value() - slack)?;
-        fallen.iter().for_each(|&s| self.bottom[s] = raised[s]);
+        fallen.iter().for_each(|&s| raised[s] = self.iterate.values[s].min(NEARLY_ZERO * self.size(s)));
+        let slack = 1e-11 * self.iterate.value().abs().max(1.0);
+        let next = self.at(&raised).filter(|next| next.value() >= self.iterate.value() - slack)?;
+        fallen.iter().for_each(|&s| self.lower_limit[s] = raised[s]);
         Some(next)
     }
 
     /// Lowers levels that are as near to zero as ℓ was defined, where that is worth it: ℓ is linear in their variances
     /// there.
-    pub(super) fn nearer_zero(&mut self) -> bool {
-        let mut values = self.home.values.clone();
+    pub(super) fn lower_vanishing_levels(&mut self) -> bool {
+        let mut values = self.iterate.values.clone();
         let mut nearer = Vec::new();
         for s in (0..values.len()).filter(|&s| self.is_vanishing(s) && self.held != Some(s)) {
             let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
-            let gain = -self.home.gradient[s] / exponent;
-            if gain > BEYOND {
-                values[s] *= (NEARER * BEYOND / gain).powf(exponent.recip());
+            let gain = -self.iterate.gradient[s] / exponent;
+            if gain > NEGLIGIBLE_GAIN {
+                values[s] *= (REMAINING_GAIN * NEGLIGIBLE_GAIN / gain).powf(exponent.recip());
                 nearer.push(s);
             }
         }
         let next = if nearer.is_empty() { None } else { self.at(&values) };
-        let Some(next) = next.filter(|next| next.value() > self.home.value() + NEARER * BEYOND) else { return false };
-        nearer.into_iter().for_each(|s| self.bottom[s] = values[s]);
-        self.arrive(next);
+        let Some(next) = next.filter(|next| next.value() > self.iterate.value() + REMAINING_GAIN * NEGLIGIBLE_GAIN)
+        else {
+            return false;
+        };
+        nearer.into_iter().for_each(|s| self.lower_limit[s] = values[s]);
+        self.move_to(next);
         true
     }
 
     /// The present size of a level, or its former size if that is larger.
     fn size(&self, s: usize) -> f64 {
-        self.home.values[s].max(self.before_zero[s])
+        self.iterate.values[s].max(self.before_zero[s])
     }
 
     /// Tries logarithms along which ℓ levels off downwards at their lower bound, such as zero: all at once, then a few
     /// of them one by one.
-    pub(super) fn leap(&mut self, joint: &JointInformation) -> bool {
+    pub(super) fn try_lower_bounds(&mut self, joint: &JointInformation) -> bool {
         let sinking = |&s: &usize| {
-            let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
-            let tail = (-TAIL..0.0).contains(&slope) && bend > 0.0 && bend <= LEVEL * slope.abs();
-            self.objective.coordinates[s].log && tail && self.home.values[s] > self.bottom[s]
+            let (slope, bend) = (self.iterate.gradient[s], joint.curvature(s));
+            let tail = (-MAX_TAIL_SLOPE..0.0).contains(&slope) && bend > 0.0 && bend <= FLAT_RATIO * slope.abs();
+            self.objective.coordinates[s].log && tail && self.iterate.values[s] > self.lower_limit[s]
         };
         let sinking: Vec<usize> = joint.active.iter().copied().filter(sinking).collect();
         let mut sets = vec![sinking.clone()];
@@ -124,70 +128,70 @@ impl SearchState<'_, '_> {
         }
         let mut leapt = false;
         for set in sets.iter().filter(|set| !set.is_empty()) {
-            if set.iter().any(|&s| self.home.values[s] <= self.bottom[s]) {
+            if set.iter().any(|&s| self.iterate.values[s] <= self.lower_limit[s]) {
                 continue; // the set of all has just moved this value
             }
-            leapt |= self.jump(set);
+            leapt |= self.try_at_bound(set);
         }
         leapt
     }
 
     /// Moves some values to their least values, unless ℓ falls.
-    fn jump(&mut self, set: &[usize]) -> bool {
-        let slack = 1e-11 * self.home.value().abs().max(1.0);
-        let mut values = self.home.values.clone();
-        set.iter().for_each(|&s| values[s] = self.bottom[s]);
-        let next = self.at(&values).or_else(|| self.above_zero(&values));
-        let Some(next) = next.filter(|next| next.value() >= self.home.value() - slack) else { return false };
-        self.arrive(next);
+    fn try_at_bound(&mut self, set: &[usize]) -> bool {
+        let slack = 1e-11 * self.iterate.value().abs().max(1.0);
+        let mut values = self.iterate.values.clone();
+        set.iter().for_each(|&s| values[s] = self.lower_limit[s]);
+        let next = self.at(&values).or_else(|| self.try_above_zero(&values));
+        let Some(next) = next.filter(|next| next.value() >= self.iterate.value() - slack) else { return false };
+        self.move_to(next);
         true
     }
 
     /// Sets levels to zero that are too small to affect ℓ.
-    pub(super) fn sunk(&mut self, joint: &JointInformation) -> bool {
+    pub(super) fn zero_unidentified_levels(&mut self, joint: &JointInformation) -> bool {
         let faint = |s: &usize| {
             let level = self.objective.coordinates[*s].level.is_some() && self.standing[*s] == Standing::Inside;
             level
-                && self.home.values[*s] > self.bottom[*s]
-                && self.home.values[*s] < FEW_PARTS * self.before_zero[*s]
-                && self.home.gradient[*s].abs() < UNFELT
-                && joint.curvature(*s).abs() < UNFELT
+                && self.iterate.values[*s] > self.lower_limit[*s]
+                && self.iterate.values[*s] < SMALL_LEVEL * self.before_zero[*s]
+                && self.iterate.gradient[*s].abs() < NO_EFFECT
+                && joint.curvature(*s).abs() < NO_EFFECT
                 && self.held != Some(*s)
         };
-        let faint: Vec<usize> = (0..self.home.values.len()).filter(faint).collect();
+        let faint: Vec<usize> = (0..self.iterate.values.len()).filter(faint).collect();
         for &s in &faint {
-            if !self.jump(&[s]) {
-                self.bottom[s] = self.home.values[s];
+            if !self.try_at_bound(&[s]) {
+                self.lower_limit[s] = self.iterate.values[s];
             }
         }
-        self.place();
+        self.update_standing();
         !faint.is_empty()
     }
 
     /// Leaves logarithms where they are that would still move far for a negligible gain: as far as the data can tell,
     /// they are at zero or at infinity.
-    pub(super) fn drifted(&mut self, joint: &JointInformation, step: &joint::JointStep) -> bool {
-        if 0.5 * step.decrement.powi(2) > BEYOND {
+    pub(super) fn marked_unbounded(&mut self, joint: &JointInformation, step: &joint::JointStep) -> bool {
+        if 0.5 * step.decrement.powi(2) > NEGLIGIBLE_GAIN {
             return false;
         }
         let mut any = false;
         for (s, d) in step.alpha.iter().enumerate() {
             let coordinate = &self.objective.coordinates[s];
-            if !coordinate.log || d.abs() <= DRIFT || self.standing[s] != Standing::Inside {
+            if !coordinate.log || d.abs() <= FAR_STEP || self.standing[s] != Standing::Inside {
                 continue;
             }
             any = true;
-            let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
-            if coordinate.level.is_some() && slope < 0.0 && self.jump(&[s]) {
+            let (slope, bend) = (self.iterate.gradient[s], joint.curvature(s));
+            if coordinate.level.is_some() && slope < 0.0 && self.try_at_bound(&[s]) {
                 continue;
             }
-            let level = bend > 0.0 && bend <= LEVEL * slope.abs();
+            let level = bend > 0.0 && bend <= FLAT_RATIO * slope.abs();
             self.standing[s] = match (level, slope > 0.0) {
                 (true, true) => Standing::Unbounded,
                 (true, false) => Standing::Vanishing,
                 (false, _) => Standing::Unidentified,
             };
-            self.drifted[s] = true;
+            self.marked_unbounded[s] = true;
         }
         any
     }

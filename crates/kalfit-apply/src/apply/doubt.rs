@@ -20,7 +20,7 @@ pub enum Trust<'a> {
 }
 
 /// Errors of the estimates, with those of the means picked out.
-pub(super) struct Doubt<'a> {
+pub(super) struct EstimateErrors<'a> {
     pub(super) knowledge: &'a Knowledge,
     /// Number of states p.
     states: usize,
@@ -34,9 +34,9 @@ pub(super) struct Doubt<'a> {
 }
 
 /// Derivatives of the expectations of sums of squares with respect to one estimated parameter.
-pub(super) struct ValueEffect {
+pub(super) struct ParameterEffect {
     /// Index among the estimates; `None` for a parameter that the data do not determine.
-    pub(super) place: Option<usize>,
+    pub(super) index: Option<usize>,
     /// Derivative for the sum of all distances.
     pub(super) all: f64,
     /// Derivative for the distance of each test.
@@ -48,25 +48,29 @@ pub(super) struct ValueEffect {
 }
 
 /// Smallest relative difference of E tr X² and Var[tr X] (see `dimension`) at which variances are taken to be equal.
-const TIED: f64 = 0.1;
+const EQUAL_VARIANCE_GAP: f64 = 0.1;
 /// A state that is identical in all tests counts as an estimated mean where its errors are at least this fraction of
 /// those of all means.
-const SHARE: f64 = 0.01;
+const NOTICEABLE_SHARE: f64 = 0.01;
 /// A derivative below this fraction of its scale counts as zero: the expectation does not depend on the quantity.
-const FAINT: f64 = 1e-9;
+const NEGLIGIBLE_SLOPE: f64 = 1e-9;
 
-impl<'a> Doubt<'a> {
+impl<'a> EstimateErrors<'a> {
     /// `varies`: whether a state differs from test to test.
-    pub(super) fn new(model: &PhasedModel, knowledge: &'a Knowledge, varies: &dyn Fn(usize) -> bool) -> Doubt<'a> {
+    pub(super) fn new(
+        model: &PhasedModel,
+        knowledge: &'a Knowledge,
+        varies: &dyn Fn(usize) -> bool,
+    ) -> EstimateErrors<'a> {
         let of_phase = |(phase, range): (&Phase, Range<usize>)| {
             let own = phase.model.mean.regression.iter();
             own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
         };
         let regressions: Vec<(usize, usize)> = model.phases.iter().zip(model.ranges()).flat_map(of_phase).collect();
         let states = model.dimension();
-        let of = |(place, known): (usize, &Estimand)| match *known {
-            Estimand::Population(Estimated::Mean(i)) if i < states => Some((place, i, None)),
-            Estimand::Population(Estimated::Coefficient(c)) => Some((place, regressions[c].0, Some(c))),
+        let of = |(index, known): (usize, &Estimand)| match *known {
+            Estimand::Population(Estimated::Mean(i)) if i < states => Some((index, i, None)),
+            Estimand::Population(Estimated::Coefficient(c)) => Some((index, regressions[c].0, Some(c))),
             _ => None,
         };
         let of_means: Vec<(usize, usize, Option<usize>)> =
@@ -77,7 +81,7 @@ impl<'a> Doubt<'a> {
         columns.sort_unstable();
         columns.dedup();
         let is_fixed = of_means.iter().map(|&(_, element, column)| column.is_none() && !varies(element)).collect();
-        Doubt { knowledge, states, of_means, covariance_of_means, is_fixed, columns: columns.len() }
+        EstimateErrors { knowledge, states, of_means, covariance_of_means, is_fixed, columns: columns.len() }
     }
 
     /// Dynamic parameters with their index among the estimates and their standard error, both `None` where the data do
@@ -109,9 +113,9 @@ impl<'a> Doubt<'a> {
     /// errors of all means.
     pub(super) fn means(&self, weights: &DMatrix<f64>, all: f64) -> usize {
         let own = |at: usize| weights[(at, at)] * self.covariance_of_means[(at, at)];
-        let is_noticed = |&at: &usize| self.is_fixed[at] && own(at) > SHARE * all;
+        let is_noticeable = |&at: &usize| self.is_fixed[at] && own(at) > NOTICEABLE_SHARE * all;
         let random = self.of_means.iter().zip(&self.is_fixed).any(|(own, is_fixed)| own.2.is_none() && !is_fixed);
-        usize::from(random) + self.columns + (0..self.of_means.len()).filter(is_noticed).count()
+        usize::from(random) + self.columns + (0..self.of_means.len()).filter(is_noticeable).count()
     }
 
     /// Derivative of the expectation with respect to an element of Σ; zero for any other quantity.
@@ -123,35 +127,36 @@ impl<'a> Doubt<'a> {
     }
 
     /// Variance of the expectation due to errors of covariances and parameters.
-    pub(super) fn variance(&self, weights: &Weights, moved: &[(&ValueEffect, f64)]) -> f64 {
+    pub(super) fn variance(&self, weights: &Weights, moved: &[(&ParameterEffect, f64)]) -> f64 {
         let known = self.knowledge.quantities.iter().map(|known| self.by(weights, known));
         self.variance_along(DVector::from_iterator(self.knowledge.quantities.len(), known), moved)
     }
 
     /// Variance of the expectation due to errors of parameters alone.
-    pub(super) fn variance_by_parameters(&self, moved: &[(&ValueEffect, f64)]) -> f64 {
+    pub(super) fn variance_by_parameters(&self, moved: &[(&ParameterEffect, f64)]) -> f64 {
         self.variance_along(DVector::zeros(self.knowledge.quantities.len()), moved)
     }
 
-    fn variance_along(&self, mut slopes: DVector<f64>, moved: &[(&ValueEffect, f64)]) -> f64 {
+    fn variance_along(&self, mut slopes: DVector<f64>, moved: &[(&ParameterEffect, f64)]) -> f64 {
         for (one, slope) in moved {
-            if let Some(place) = one.place {
-                slopes[place] = *slope;
+            if let Some(index) = one.index {
+                slopes[index] = *slope;
             }
         }
         slopes.dot(&(&self.knowledge.covariance * &slopes)).max(0.0)
     }
 
     /// Whether the expectation depends on a quantity that the data of the fit do not determine.
-    pub(super) fn is_open(&self, weights: &Weights, moved: &[(&ValueEffect, f64)], degrees: f64) -> bool {
+    pub(super) fn depends_on_open(&self, weights: &Weights, moved: &[(&ParameterEffect, f64)], degrees: f64) -> bool {
         let largest = weights.of_level.iter().map(DMatrix::amax).fold(0.0, f64::max);
-        let by_sigma = self.knowledge.open.iter().any(|known| self.by(weights, known).abs() > FAINT * largest);
-        by_sigma || self.is_moved_openly(moved, degrees)
+        let by_sigma =
+            self.knowledge.open.iter().any(|known| self.by(weights, known).abs() > NEGLIGIBLE_SLOPE * largest);
+        by_sigma || self.depends_on_open_parameter(moved, degrees)
     }
 
     /// Whether the expectation depends on a parameter that the data of the fit do not determine.
-    pub(super) fn is_moved_openly(&self, moved: &[(&ValueEffect, f64)], degrees: f64) -> bool {
-        moved.iter().any(|(one, slope)| one.place.is_none() && slope.abs() > FAINT * degrees)
+    pub(super) fn depends_on_open_parameter(&self, moved: &[(&ParameterEffect, f64)], degrees: f64) -> bool {
+        moved.iter().any(|(one, slope)| one.index.is_none() && slope.abs() > NEGLIGIBLE_SLOPE * degrees)
     }
 
     /// Number of degrees of freedom whose covariance is estimated as one in Σ of a level, and number of them that share
@@ -160,8 +165,8 @@ impl<'a> Doubt<'a> {
     /// Var[tr X]/m.
     pub(super) fn dimension(&self, w: &DMatrix<f64>, level: usize) -> (f64, f64) {
         let p = self.states;
-        let own = |(place, known): (usize, &Estimand)| match *known {
-            Estimand::Population(Estimated::Covariance(i, j)) if i / p == level => Some((place, i % p, j % p)),
+        let own = |(index, known): (usize, &Estimand)| match *known {
+            Estimand::Population(Estimated::Covariance(i, j)) if i / p == level => Some((index, i % p, j % p)),
             _ => None,
         };
         let elements: Vec<(usize, usize, usize)> =
@@ -180,7 +185,7 @@ impl<'a> Doubt<'a> {
             }
         }
         match traces > 0.0 {
-            true if squares < (1.0 - TIED) * traces => (1.0, traces / squares),
+            true if squares < (1.0 - EQUAL_VARIANCE_GAP) * traces => (1.0, traces / squares),
             true => ((2.0 * squares / traces - 1.0).max(1.0), 1.0),
             false => (1.0, 1.0),
         }

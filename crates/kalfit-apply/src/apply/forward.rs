@@ -17,8 +17,8 @@ use kalfit_model::PhasedTest;
 
 impl Applied<'_> {
     pub(super) fn forward(&self, kind: StateKind, tests: Range<usize>) -> Result<Vec<Vec<PhaseStates>>, ApplyError> {
-        let alone = self.population.together(self.model.dimension());
-        let filter = ChainedFilter::new(self.model, self.alpha, &alone)?;
+        let combined = self.population.together(self.model.dimension());
+        let filter = ChainedFilter::new(self.model, self.alpha, &combined)?;
         let states: Vec<Result<Vec<PhaseStates>, ReduceError>> = self.tests[tests]
             .par_iter()
             .map_init(|| filter.reducer().workspace(), |work, test| of_test(&filter, kind, test, work))

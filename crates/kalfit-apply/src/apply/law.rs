@@ -25,10 +25,10 @@ pub struct Law {
 }
 
 /// Degrees of freedom, of numerator and denominator, above which the cube root of F is normal to all digits that count.
-const MANY: f64 = 1e4;
+const NORMAL_FROM_DEGREES: f64 = 1e4;
 
 /// Rounding error of computed degrees of freedom.
-const ROUNDING: f64 = 1e-5;
+const DEGREES_ROUNDING: f64 = 1e-5;
 
 impl Law {
     /// χ² with the given degrees of freedom.
@@ -40,7 +40,7 @@ impl Law {
     pub fn mean(&self) -> f64 {
         match self.denominator {
             b if b.is_infinite() => self.scale,
-            b if b > 2.0 + ROUNDING => self.scale * b / (b - 2.0),
+            b if b > 2.0 + DEGREES_ROUNDING => self.scale * b / (b - 2.0),
             _ => f64::INFINITY,
         }
     }
@@ -50,7 +50,7 @@ impl Law {
         let (a, b) = (self.numerator, self.denominator);
         match b {
             b if b.is_infinite() => self.scale * (2.0 / a).sqrt(),
-            b if b > 4.0 + ROUNDING => self.mean() * (2.0 * (a + b - 2.0) / (a * (b - 4.0))).sqrt(),
+            b if b > 4.0 + DEGREES_ROUNDING => self.mean() * (2.0 * (a + b - 2.0) / (a * (b - 4.0))).sqrt(),
             _ => f64::INFINITY,
         }
     }
@@ -62,7 +62,7 @@ impl Law {
             let law = ChiSquared::new(a).ok()?;
             return Some([law.cdf(f * a), law.sf(f * a)]);
         }
-        if a > MANY && b > MANY {
+        if a > NORMAL_FROM_DEGREES && b > NORMAL_FROM_DEGREES {
             // Paulson's approximation
             let [above, below] = [2.0 / (9.0 * a), 2.0 / (9.0 * b)];
             let root = f.cbrt();
@@ -91,7 +91,7 @@ pub(super) struct DistanceSum {
     /// variances.
     pub(super) dimension: f64,
     /// Number of degrees of freedom that share one variance: m where m variances are equal.
-    pub(super) tied: f64,
+    pub(super) sharing_variance: f64,
     /// Variance of the sum's expectation due to errors of covariances and parameters, over the square of `degrees`:
     /// 2/(pN).
     pub(super) variance: f64,
@@ -106,7 +106,7 @@ pub(super) struct DistanceSum {
 }
 
 /// Relative variance below which covariances and parameters count as known.
-const KNOWN: f64 = 1e-12;
+const KNOWN_VARIANCE: f64 = 1e-12;
 
 impl DistanceSum {
     /// Sum over `count` tests, against estimates by maximum likelihood from `tests` others that determined all their
@@ -116,7 +116,7 @@ impl DistanceSum {
             count,
             degrees,
             dimension: degrees / count,
-            tied: 1.0,
+            sharing_variance: 1.0,
             variance: 2.0 * count / (degrees * tests),
             of_mean: degrees / tests,
             means: 1.0,
@@ -134,15 +134,15 @@ impl DistanceSum {
         let means = self.means.min(self.count).max(1.0);
         let (sum, squares) = (self.count + error, self.count - means + means * (1.0 + error / means).powi(2));
         let (h, size) = (sum * sum / squares, squares / sum);
-        if self.variance < KNOWN {
+        if self.variance < KNOWN_VARIANCE {
             let degrees = each * h;
             return Some(Law { scale: size * degrees, ..Law::chi_squared(degrees) });
         }
         let seen = 2.0 / (each * self.variance);
         let left = seen * (1.0 - self.bias(each, seen));
-        let copies = each / (self.dimension * self.tied);
-        let one = trace(self.dimension, h * self.tied, left * self.tied)?;
-        Some(Law { scale: one.scale * seen * self.tied * size, ..one }.times(copies))
+        let copies = each / (self.dimension * self.sharing_variance);
+        let one = trace(self.dimension, h * self.sharing_variance, left * self.sharing_variance)?;
+        Some(Law { scale: one.scale * seen * self.sharing_variance * size, ..one }.sum_of_copies(copies))
     }
 
     /// Relative amount by which maximum likelihood makes covariances too small. The number of tests follows from the
@@ -152,8 +152,8 @@ impl DistanceSum {
             return 0.0;
         }
         let error = self.of_mean / (self.count * each * self.means);
-        let beside = self.variance * each / (2.0 * error * error);
-        let tests = seen.max(beside.min(self.tests));
+        let tests_from_errors = self.variance * each / (2.0 * error * error);
+        let tests = seen.max(tests_from_errors.min(self.tests));
         self.means * (self.variance * each / (2.0 * tests)).sqrt()
     }
 }
@@ -176,7 +176,7 @@ fn trace(p: f64, h: f64, degrees: f64) -> Option<Law> {
 
 impl Law {
     /// Law of the sum of `number` independent copies, from its mean and variance.
-    fn times(self, number: f64) -> Law {
+    fn sum_of_copies(self, number: f64) -> Law {
         let (a, b) = (self.numerator, self.denominator);
         if number == 1.0 || b <= 4.0 {
             return Law { scale: self.scale * number, numerator: a * number, ..self };
@@ -216,7 +216,12 @@ mod tests {
     #[test]
     fn equal_variances_have_the_degrees_of_freedom_of_all() {
         let tests = 5.0;
-        let sum = DistanceSum { dimension: 1.0, tied: 3.0, variance: 2.0 / (3.0 * tests), ..exact(3.0, 1.0, tests) };
+        let sum = DistanceSum {
+            dimension: 1.0,
+            sharing_variance: 3.0,
+            variance: 2.0 / (3.0 * tests),
+            ..exact(3.0, 1.0, tests)
+        };
         let found = sum.law().expect("enough tests");
         for (what, found, expected) in [
             ("scale", found.scale, 3.0 * (tests + 1.0) / (tests - 1.0)),

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::apply::doubt::{Doubt, Trust, ValueEffect};
+use crate::apply::doubt::{EstimateErrors, ParameterEffect, Trust};
 use crate::apply::law::{DistanceSum, Law};
 use crate::apply::tree::{TestTree, Weights};
 use crate::apply::{Applied, ApplyError, Said};
@@ -63,11 +63,11 @@ impl Applied<'_> {
             Trust::Estimates(knowledge) => *knowledge,
             Trust::Tests(_) => &Knowledge::exact(),
         };
-        let doubt = Doubt::new(self.model, knowledge, &|state| self.varies(state));
+        let doubt = EstimateErrors::new(self.model, knowledge, &|state| self.varies(state));
         let tree = self.tree(&self.reductions, &doubt);
         let moved = self.moved(&tree, &doubt)?;
-        let judge = Judge { said, trust, doubt, tree, moved };
-        Ok(judge.laws())
+        let builder = LawBuilder { said, trust, doubt, tree, moved };
+        Ok(builder.laws())
     }
 
     /// Whether a state differs from test to test.
@@ -76,19 +76,19 @@ impl Applied<'_> {
         (state..sigma.nrows()).step_by(p).any(|i| sigma[(i, i)] > 0.0)
     }
 
-    fn tree(&self, reductions: &Reductions, doubt: &Doubt<'_>) -> TestTree {
+    fn tree(&self, reductions: &Reductions, doubt: &EstimateErrors<'_>) -> TestTree {
         let own = (reductions, self.model.dimension());
         TestTree::new(own, self.population, self.grouping.as_deref(), &|reduction| doubt.effect(reduction))
     }
 
     /// Derivatives of the expectations with respect to each estimated parameter, from the model on both sides of it.
     /// Empty where a phase of a test is not given by rows.
-    fn moved(&self, tree: &TestTree, doubt: &Doubt<'_>) -> Result<Vec<ValueEffect>, ApplyError> {
+    fn moved(&self, tree: &TestTree, doubt: &EstimateErrors<'_>) -> Result<Vec<ParameterEffect>, ApplyError> {
         let is_reduced = self.tests.iter().any(|test| test.phases.iter().any(|own| !matches!(own, Evidence::Rows(_))));
         if is_reduced {
             return Ok(Vec::new());
         }
-        let of = |(place, known, error): (Option<usize>, &Estimand, Option<f64>)| {
+        let of = |(index, known, error): (Option<usize>, &Estimand, Option<f64>)| {
             let Some((sides, width)) = known.sides(self.model, self.alpha, error) else { return Ok(None) };
             let sides = sides.map(|alpha| self.reduced(&alpha));
             let [low, high] = sides;
@@ -100,13 +100,13 @@ impl Applied<'_> {
             let residual = |at: usize| {
                 let log_det = |own: &Reductions| -2.0 * own.get(at).constant - own.get(at).residual.unwrap_or(f64::NAN);
                 let [j, k] = trees.map(|tree| &tree.nodes[0][at].information);
-                per(log_det(&high) - log_det(&low) + tree.own_difference(0, at, j, k))
+                per(log_det(&high) - log_det(&low) + tree.log_det_information_change(0, at, j, k))
             };
             let (residuals, groups) = ((0..self.tests.len()).map(residual).collect(), 1..=tree.depth());
             let (tests, groups) = (level(0), groups.map(level).collect());
-            Ok(Some(ValueEffect { place, all: per(tree.difference(trees)), tests, groups, residuals }))
+            Ok(Some(ParameterEffect { index, all: per(tree.difference(trees)), tests, groups, residuals }))
         };
-        let all: Result<Vec<Option<ValueEffect>>, ApplyError> = doubt.parameters().map(of).collect();
+        let all: Result<Vec<Option<ParameterEffect>>, ApplyError> = doubt.parameters().map(of).collect();
         Ok(all?.into_iter().flatten().collect())
     }
 
@@ -117,15 +117,15 @@ impl Applied<'_> {
 }
 
 /// Everything that laws are computed from.
-struct Judge<'a> {
+struct LawBuilder<'a> {
     said: &'a Said,
     trust: &'a Trust<'a>,
-    doubt: Doubt<'a>,
+    doubt: EstimateErrors<'a>,
     tree: TestTree,
-    moved: Vec<ValueEffect>,
+    moved: Vec<ParameterEffect>,
 }
 
-impl Judge<'_> {
+impl LawBuilder<'_> {
     fn laws(&self) -> Laws {
         let (tests, of_tests) = self.tests();
         let of_groups: Vec<Vec<Weights>> = (1..=self.tree.depth()).map(|level| self.tree.groups(level)).collect();
@@ -133,7 +133,7 @@ impl Judge<'_> {
             of_groups.iter().enumerate().map(|(level, all)| self.groups(level, all)).collect();
         let [distance, within, residual] = self.said.degrees();
         let outermost = of_groups.last().map(|all| Weights::sum(all.iter()));
-        let by_groups = |moved: &ValueEffect| -> f64 {
+        let by_groups = |moved: &ParameterEffect| -> f64 {
             moved.groups.last().map_or_else(|| moved.tests.iter().sum(), |groups| groups.iter().sum())
         };
         let top = outermost.as_ref().unwrap_or(&of_tests);
@@ -192,7 +192,7 @@ impl Judge<'_> {
         weights: &Weights,
         (count, degrees): (usize, usize),
         level: usize,
-        moved: &dyn Fn(&ValueEffect) -> f64,
+        moved: &dyn Fn(&ParameterEffect) -> f64,
     ) -> Option<Law> {
         if count == 0 || degrees == 0 {
             return None;
@@ -206,30 +206,30 @@ impl Judge<'_> {
                 DistanceSum::of_tests(count, degrees, tests as f64).law()
             };
         }
-        let own: Vec<(&ValueEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
-        if self.doubt.is_open(weights, &own, degrees) {
+        let own: Vec<(&ParameterEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
+        if self.doubt.depends_on_open(weights, &own, degrees) {
             return None;
         }
         let variance = self.doubt.variance(weights, &own) / (degrees * degrees);
         let most = (degrees / count).max(1.0);
-        let (dimension, tied) = self.doubt.dimension(&weights.of_level[level], level);
-        let (dimension, tied) = (dimension.min(most), tied.min(most));
+        let (dimension, sharing_variance) = self.doubt.dimension(&weights.of_level[level], level);
+        let (dimension, sharing_variance) = (dimension.min(most), sharing_variance.min(most));
         let of_mean = self.doubt.of_means(&weights.of_means);
         let is_of_means = of_mean > 0.0;
         let means = if is_of_means { self.doubt.means(&weights.of_means, of_mean) as f64 } else { 0.0 };
         let knowledge = self.doubt.knowledge;
         let (is_biased, tests) = (!knowledge.is_restricted && is_of_means, knowledge.tests);
-        DistanceSum { count, degrees, dimension, tied, variance, of_mean, means, is_biased, tests }.law()
+        DistanceSum { count, degrees, dimension, sharing_variance, variance, of_mean, means, is_biased, tests }.law()
     }
 
     /// Law of residuals: separate variances, which only errors of the parameters affect.
-    fn residual(&self, degrees: usize, moved: &dyn Fn(&ValueEffect) -> f64) -> Option<Law> {
+    fn residual(&self, degrees: usize, moved: &dyn Fn(&ParameterEffect) -> f64) -> Option<Law> {
         let degrees = degrees as f64;
         if degrees == 0.0 {
             return None;
         }
-        let own: Vec<(&ValueEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
-        if self.doubt.is_moved_openly(&own, degrees) {
+        let own: Vec<(&ParameterEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
+        if self.doubt.depends_on_open_parameter(&own, degrees) {
             return None;
         }
         let variance = self.doubt.variance_by_parameters(&own) / (degrees * degrees);

@@ -73,7 +73,7 @@ pub struct Said {
 }
 
 /// Largest rounding error of a residual that is reported, relative to 1 + the residual.
-const ROUNDING: f64 = 1e-3;
+const RESIDUAL_ROUNDING: f64 = 1e-3;
 
 impl<'a> Applied<'a> {
     /// Runs the filters over the tests. `population` has the shape of the model; for a model with levels it holds all
@@ -121,14 +121,14 @@ impl<'a> Applied<'a> {
     /// The errors of [`innovations`].
     pub fn said(&self) -> Result<Said, ApplyError> {
         let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
-        let alone = self.population.together(self.model.dimension());
-        let innovations = innovations(self.model, self.alpha, &alone, self.tests)?;
+        let combined = self.population.together(self.model.dimension());
+        let innovations = innovations(self.model, self.alpha, &combined, self.tests)?;
         let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), Posterior<'_>)| {
             let (summary, distance) = (&own.as_ref().filter(|_| self.is_all_rows(test))?.summary, &posterior.distance);
             let degrees = summary.count.saturating_sub(distance.degrees_of_freedom);
             let residual = (summary.nis - distance.squared).max(0.0);
-            let sound = summary.nis * f64::EPSILON * summary.count as f64 <= ROUNDING * (1.0 + residual);
-            sound.then_some((residual, degrees))
+            let is_precise = summary.nis * f64::EPSILON * summary.count as f64 <= RESIDUAL_ROUNDING * (1.0 + residual);
+            is_precise.then_some((residual, degrees))
         };
         let residuals = self.tests.iter().zip(&innovations).zip(posteriors.iter()).map(residual).collect();
         Ok(Said { posteriors, groups, innovations, residuals })

@@ -52,10 +52,10 @@ pub(super) struct Weights {
 pub(super) type Effect<'a> = dyn Fn(ReductionRef<'_>) -> DMatrix<f64> + Sync + 'a;
 
 /// Standard deviation given to an exact measurement, relative to that in the population: weights need no more digits.
-const KNOWN: f64 = 1e-3;
+const EXACT_DEVIATION: f64 = 1e-3;
 
 /// R, extended by a row for each exact measurement.
-fn told(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+fn root_with_exact(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     let p = sigma.nrows();
     let root = unpack(reduction.factor, p);
     let Some(exact) = reduction.exact else { return root };
@@ -63,7 +63,7 @@ fn told(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     for (i, row) in exact.matrix(p).row_iter().enumerate() {
         let deviation = (row * sigma * row.transpose())[(0, 0)].sqrt();
         if deviation > 0.0 {
-            all.set_row(p + i, &(row / (KNOWN * deviation)));
+            all.set_row(p + i, &(row / (EXACT_DEVIATION * deviation)));
         }
     }
     all
@@ -81,7 +81,7 @@ impl TestTree {
         let sigmas: Vec<DMatrix<f64>> = (0..=depth).map(sigma).collect();
         let test = |reduction: ReductionRef<'_>| {
             // the first block of Σ is that of the tests themselves; the blocks of the levels follow
-            let root = told(reduction, &sigmas[0]);
+            let root = root_with_exact(reduction, &sigmas[0]);
             let information = root.transpose() * &root;
             let shift = &information * effect(reduction);
             TreeNode { weight: weight(&root, &sigmas[0]), information, shift }
@@ -126,7 +126,7 @@ impl TestTree {
         self.sigmas[level..].iter().sum()
     }
 
-    fn nothing(&self) -> Weights {
+    fn zero_weights(&self) -> Weights {
         let (p, means) = (self.sigmas[0].nrows(), self.nodes[0].first().map_or(0, |node| node.shift.ncols()));
         Weights { of_level: vec![DMatrix::zeros(p, p); self.sigmas.len()], of_means: DMatrix::zeros(means, means) }
     }
@@ -146,7 +146,7 @@ impl TestTree {
         let mut above: Vec<usize> = (0..weights.len()).collect();
         for below in (0..level).rev() {
             let parents = &self.parents[below];
-            let carried: Vec<(DMatrix<f64>, DMatrix<f64>)> = self.nodes[below]
+            let transformed: Vec<(DMatrix<f64>, DMatrix<f64>)> = self.nodes[below]
                 .par_iter()
                 .zip(parents)
                 .map(|(node, &parent)| {
@@ -156,10 +156,10 @@ impl TestTree {
                 })
                 .collect();
             above = parents.iter().map(|&parent| above[parent]).collect();
-            for ((own, _), &top) in carried.iter().zip(&above) {
+            for ((own, _), &top) in transformed.iter().zip(&above) {
                 weights[top].of_level[below] += own;
             }
-            inner = carried.into_iter().map(|(_, m)| m).collect();
+            inner = transformed.into_iter().map(|(_, m)| m).collect();
         }
         weights
     }
@@ -169,7 +169,7 @@ impl TestTree {
         let j = &node.information;
         let m = scaled_inverse(&(j + j * beyond * j));
         let own = j * &m * j;
-        let mut weights = self.nothing();
+        let mut weights = self.zero_weights();
         weights.of_level[level..].iter_mut().for_each(|of| of.clone_from(&own));
         weights.of_means = node.shift.transpose() * &m * &node.shift;
         (weights, m)
@@ -179,7 +179,7 @@ impl TestTree {
     /// of the means are zero: all that means add is in the distances of the outermost groups. `posteriors`: covariances
     /// of m of the groups of each level, the innermost first.
     pub(super) fn all(&self, posteriors: &[Vec<&DMatrix<f64>>]) -> Weights {
-        let mut all = self.nothing();
+        let mut all = self.zero_weights();
         for (level, nodes) in self.nodes.iter().enumerate() {
             for (at, node) in nodes.iter().enumerate() {
                 all.of_level[level] += &node.weight;
@@ -197,7 +197,9 @@ impl TestTree {
         let beyond = self.beyond(level);
         let one = |at: usize| {
             let [low, high] = [low, high].map(|tree| &tree.nodes[level][at].information);
-            log_det_beside(high, &beyond) - log_det_beside(low, &beyond) - self.own_difference(level, at, low, high)
+            log_det_plus_identity(high, &beyond)
+                - log_det_plus_identity(low, &beyond)
+                - self.log_det_information_change(level, at, low, high)
         };
         (0..self.nodes[level].len()).into_par_iter().map(one).collect()
     }
@@ -208,9 +210,9 @@ impl TestTree {
         for (level, sigma) in self.sigmas.iter().enumerate() {
             for (at, [low, high]) in (0..self.nodes[level].len()).map(|at| (at, [low, high])) {
                 let [low, high] = [low, high].map(|tree| &tree.nodes[level][at].information);
-                sum += log_det_beside(high, sigma) - log_det_beside(low, sigma);
+                sum += log_det_plus_identity(high, sigma) - log_det_plus_identity(low, sigma);
                 if level == 0 {
-                    sum -= self.own_difference(level, at, low, high);
+                    sum -= self.log_det_information_change(level, at, low, high);
                 }
             }
         }
@@ -218,7 +220,13 @@ impl TestTree {
     }
 
     /// Difference of log |J| on the range of J, which parameters do not change: tr J⁺ΔJ.
-    pub(super) fn own_difference(&self, level: usize, at: usize, low: &DMatrix<f64>, high: &DMatrix<f64>) -> f64 {
+    pub(super) fn log_det_information_change(
+        &self,
+        level: usize,
+        at: usize,
+        low: &DMatrix<f64>,
+        high: &DMatrix<f64>,
+    ) -> f64 {
         scaled_inverse(&self.nodes[level][at].information).dot(&(high - low))
     }
 }
@@ -257,7 +265,7 @@ fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// log |I + JΣ|.
-fn log_det_beside(information: &DMatrix<f64>, sigma: &DMatrix<f64>) -> f64 {
+fn log_det_plus_identity(information: &DMatrix<f64>, sigma: &DMatrix<f64>) -> f64 {
     let root = symmetric::square_root(sigma);
     let inner = DMatrix::identity(sigma.nrows(), sigma.nrows()) + root.transpose() * information * &root;
     inner.cholesky().map_or(0.0, |own| 2.0 * own.l().diagonal().iter().map(|x| x.ln()).sum::<f64>())

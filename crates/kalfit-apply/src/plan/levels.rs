@@ -31,7 +31,7 @@ impl Arrangement {
     /// Differences between tests, or between groups of a level, can be separated from differences between the groups
     /// that contain them only where these have several members. For each block of Σ, that of the tests first and then
     /// the innermost level: the first block that it cannot be separated from; and last the same for the mean.
-    fn together(&self) -> Vec<usize> {
+    fn confounded_with(&self) -> Vec<usize> {
         let members = std::iter::once(self.tests).chain(self.groups.iter().rev().copied());
         let mut first = vec![0];
         first.extend(members.enumerate().scan(0, |least, (block, members)| {
@@ -86,7 +86,11 @@ pub fn plan_groups(
             .map(|(found, one)| {
                 let found = found.at(population);
                 let error = found.error(quantity).ok_or_else(|| found.reason(quantity))?;
-                if is_told(quantity, own, population, &one.together()) { Ok(error) } else { Err(Reason::Unidentified) }
+                if is_separable(quantity, own, population, &one.confounded_with()) {
+                    Ok(error)
+                } else {
+                    Err(Reason::Unidentified)
+                }
             })
             .collect();
         let known = errors.iter().any(Result::is_ok);
@@ -107,14 +111,15 @@ pub fn plan_groups(
 }
 
 /// Whether the quantity can be separated from every other block that has a share in it. Each block has `own` states.
-fn is_told(quantity: Quantity, own: usize, population: &Population, together: &[usize]) -> bool {
+fn is_separable(quantity: Quantity, own: usize, population: &Population, confounded_with: &[usize]) -> bool {
     let (Quantity::StdDev(i) | Quantity::Correlation(i, _) | Quantity::Covariance(i, _)) = quantity else {
         return true;
     };
-    let (block, mean) = (i / own, together.len() - 1);
+    let (block, mean) = (i / own, confounded_with.len() - 1);
     let varies =
         |other: usize| other == mean || population.covariance[(other * own + i % own, other * own + i % own)] > 0.0;
-    (0..together.len()).all(|other| other == block || together[other] != together[block] || !varies(other))
+    (0..confounded_with.len())
+        .all(|other| other == block || confounded_with[other] != confounded_with[block] || !varies(other))
 }
 
 /// Members of each group of a design.
@@ -187,14 +192,14 @@ fn arranged(
 mod tests {
     use nalgebra::{DMatrix, DVector};
 
-    use super::{Arrangement, DesignGroups, is_told};
+    use super::{Arrangement, DesignGroups, is_separable};
     use crate::plan::Quantity;
     use kalfit_model::Population;
     use kalfit_model::{Grouping, Label};
 
     #[test]
     fn what_has_one_member_is_not_told_from_what_it_stands_in() {
-        let of = |groups: &[usize], tests| Arrangement { groups: groups.to_vec(), tests }.together();
+        let of = |groups: &[usize], tests| Arrangement { groups: groups.to_vec(), tests }.confounded_with();
         assert_eq!(of(&[8], 5), [0, 1, 2]);
         assert_eq!(of(&[8], 1), [0, 0, 2], "one test of each unit");
         assert_eq!(of(&[1], 5), [0, 1, 1], "one unit: its own part is not told from the mean");
@@ -227,7 +232,7 @@ mod tests {
         let covariance = DMatrix::from_diagonal(&variances);
         let population = Population { mean: vec![0.0; 4], coefficients: vec![], covariance };
         let told = |i: usize, tests: usize| {
-            is_told(Quantity::StdDev(i), 2, &population, &Arrangement { groups: vec![8], tests }.together())
+            is_separable(Quantity::StdDev(i), 2, &population, &Arrangement { groups: vec![8], tests }.confounded_with())
         };
         assert_eq!([0, 1, 2].map(|i| told(i, 1)), [false, true, false]);
         assert_eq!([0, 1, 2].map(|i| told(i, 2)), [true; 3]);

@@ -9,7 +9,7 @@ use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
 
 /// Squared pivot of the scaled information below which there is no information.
-const FLAT: f64 = 1e-10;
+const LEAST_PIVOT: f64 = 1e-10;
 
 /// Information lost by the estimates of an ensemble, compared with its measurements, at a population.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,6 +77,6 @@ fn log_volume(a: &DMatrix<f64>) -> Option<f64> {
     let scaled = DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j]);
     let root = scaled.cholesky()?;
     let diagonal = root.l_dirty().diagonal();
-    let sound = diagonal.iter().all(|l| l * l > FLAT);
-    sound.then(|| 2.0 * diagonal.iter().zip(&size).map(|(l, s)| l.ln() + s.ln()).sum::<f64>())
+    let is_informed = diagonal.iter().all(|l| l * l > LEAST_PIVOT);
+    is_informed.then(|| 2.0 * diagonal.iter().zip(&size).map(|(l, s)| l.ln() + s.ln()).sum::<f64>())
 }

@@ -140,9 +140,9 @@ impl Expected {
         Ok(Expected { state, unidentified, uncertainty })
     }
 
-    fn at<'a>(&'a self, population: &'a Population) -> Found<'a> {
+    fn at<'a>(&'a self, population: &'a Population) -> ExpectedAt<'a> {
         let Expected { state, unidentified, uncertainty } = self;
-        Found { state, population, unidentified, uncertainty }
+        ExpectedAt { state, population, unidentified, uncertainty }
     }
 }
 
@@ -163,14 +163,14 @@ fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
 }
 
 /// Results at the population.
-struct Found<'a> {
+struct ExpectedAt<'a> {
     state: &'a FinalState,
     population: &'a Population,
     unidentified: &'a [Direction],
     uncertainty: &'a Uncertainty,
 }
 
-impl Found<'_> {
+impl ExpectedAt<'_> {
     fn value(&self, quantity: Quantity) -> Option<f64> {
         let Population { mean, coefficients, covariance } = self.population;
         quantity.value(mean, coefficients, covariance)

@@ -19,7 +19,7 @@ use std::sync::Mutex;
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
-use crate::predict::root::{KnownRoots, crossing, rising};
+use crate::predict::root::{EarlierRoots, decreasing_root, increasing_root};
 use crate::predict::widths::Widths;
 use crate::predict::{MeanLimits, Predicted};
 
@@ -45,11 +45,11 @@ pub enum Sides {
 }
 
 /// Degrees of freedom above which a variance is treated as known.
-const KNOWN: f64 = 1e5;
+const KNOWN_DEGREES: f64 = 1e5;
 /// Number of intervals in the sum that replaces an expectation over a normal variable.
-const NODES: usize = 40;
+const INTERVALS: usize = 40;
 /// Half width of the range of that sum, in standard deviations; the normal law is negligible beyond.
-const WIDE: f64 = 6.7;
+const HALF_RANGE: f64 = 6.7;
 
 /// Computes limits of predictions. Factors are cached: most values of a design share theirs with others.
 #[derive(Debug)]
@@ -60,7 +60,7 @@ pub struct Bounds {
 }
 
 /// Largest number of factors that are cached.
-const KEPT: usize = 1 << 16;
+const MOST_CACHED: usize = 1 << 16;
 
 /// Variance over tests, and how well it is known.
 struct VarianceEstimate {
@@ -92,30 +92,32 @@ impl VarianceEstimate {
         }
         let lost = estimation.lost as f64;
         let alone = 2.0 * population * population / of_population;
-        let beside = if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
+        let tests_from_errors =
+            if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
         // the number that the errors of mean and variance imply together, or the number that the latter implies alone
-        let (left, larger) = if estimation.is_restricted {
-            // `beside` is N² / (N - k)
-            let tests = 0.5 * (beside + (beside * (beside - 4.0 * lost)).max(0.0).sqrt());
+        let (left, inflation) = if estimation.is_restricted {
+            // `tests_from_errors` is N² / (N - k)
+            let tests =
+                0.5 * (tests_from_errors + (tests_from_errors * (tests_from_errors - 4.0 * lost)).max(0.0).sqrt());
             (alone.max(tests.min(estimation.tests) - lost), 1.0)
         } else {
-            let tests = alone.max(beside.min(estimation.tests));
+            let tests = alone.max(tests_from_errors.min(estimation.tests));
             (tests - lost, tests / (tests - lost))
         };
         if left < 0.5 {
             return None;
         }
-        let seen = (0.5 * of_population * left * larger).sqrt();
-        let variance = population + (larger - 1.0) * seen + value.process;
-        let scale = variance.max(larger * seen);
-        let degrees = 2.0 * scale * scale / (estimation.variance + (larger.powi(3) - 1.0) * of_population);
+        let seen = (0.5 * of_population * left * inflation).sqrt();
+        let variance = population + (inflation - 1.0) * seen + value.process;
+        let scale = variance.max(inflation * seen);
+        let degrees = 2.0 * scale * scale / (estimation.variance + (inflation.powi(3) - 1.0) * of_population);
         let spread =
-            VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean * larger, degrees_of_mean: left };
+            VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean * inflation, degrees_of_mean: left };
         (degrees >= 0.5).then_some(spread)
     }
 
     /// Whether r = 0: then all half widths scale with 1/c, and the c at which a limit is met needs no search.
-    fn is_all(&self) -> bool {
+    fn has_no_test_error(&self) -> bool {
         self.scale <= self.variance
     }
 
@@ -126,7 +128,7 @@ impl VarianceEstimate {
 
     /// Approximate size of a half width of `width` standard deviations with confidence γ, by Wilson and Hilferty's
     /// quantile of χ².
-    fn large(&self, confidence: f64, width: f64) -> f64 {
+    fn approximate_half_width(&self, confidence: f64, width: f64) -> f64 {
         let part = 2.0 / (9.0 * self.degrees);
         let root = 1.0 - part - normal().inverse_cdf(confidence) * part.sqrt();
         (width * self.at(root.max(0.2).powf(1.5))).max(self.variance.sqrt())
@@ -161,7 +163,7 @@ impl Bounds {
         }
         let spread = VarianceEstimate::of(value)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
-        let quantile = match spread.degrees_of_mean < KNOWN {
+        let quantile = match spread.degrees_of_mean < KNOWN_DEGREES {
             true => StudentsT::new(0.0, 1.0, spread.degrees_of_mean).ok()?.inverse_cdf(upper),
             false => normal().inverse_cdf(upper),
         };
@@ -193,7 +195,7 @@ impl Bounds {
             Sides::Two => self.two_sided(&unit),
         };
         if let Ok(mut known) = self.known.lock()
-            && known.len() < KEPT
+            && known.len() < MOST_CACHED
         {
             known.insert(key, found);
         }
@@ -203,25 +205,25 @@ impl Bounds {
     /// h with P(m_c + z_p s_c ≤ m + h) = γ.
     fn one_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
         let (z, off, s) = (normal().inverse_cdf(self.limits.content), spread.of_mean.sqrt(), spread.variance.sqrt());
-        if spread.degrees >= KNOWN {
+        if spread.degrees >= KNOWN_DEGREES {
             return Some(z * s + off * normal().inverse_cdf(self.limits.confidence));
         }
         let law = ChiSquared::new(spread.degrees).ok()?;
         let holds = |h: f64| {
-            let mut near = KnownRoots::default();
-            let needed = |x: f64, near: &mut KnownRoots| match spread.is_all() {
+            let mut near = EarlierRoots::default();
+            let needed = |x: f64, near: &mut EarlierRoots| match spread.has_no_test_error() {
                 true => (z * s - x * off) / h,
-                false => crossing(&|c| z * spread.at(c) - x * off / c, h, near),
+                false => decreasing_root(&|c| z * spread.at(c) - x * off / c, h, near),
             };
-            (0..=NODES).map(node).map(|(x, weight)| weight * spread.beyond(&law, needed(x, &mut near))).sum()
+            (0..=INTERVALS).map(node).map(|(x, weight)| weight * spread.beyond(&law, needed(x, &mut near))).sum()
         };
-        rising(&holds, self.limits.confidence, spread.large(self.limits.confidence, z))
+        increasing_root(&holds, self.limits.confidence, spread.approximate_half_width(self.limits.confidence, z))
     }
 
     /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
     fn two_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
         let (off, s) = (spread.of_mean.sqrt(), spread.variance.sqrt());
-        if spread.degrees >= KNOWN {
+        if spread.degrees >= KNOWN_DEGREES {
             // the content falls as the mean moves further off
             return Some(s * self.widths.at(off / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))));
         }
@@ -232,18 +234,22 @@ impl Bounds {
         };
         // the two sides of the mean are symmetric
         let holds = |h: f64| {
-            let mut near = KnownRoots::default();
-            let half = (NODES / 2..=NODES).map(node).map(|(x, weight)| {
+            let mut near = EarlierRoots::default();
+            let half = (INTERVALS / 2..=INTERVALS).map(node).map(|(x, weight)| {
                 let both = if x > 0.0 { 2.0 } else { 1.0 };
-                let c = match spread.is_all() {
+                let c = match spread.has_no_test_error() {
                     true => needed(x, 1.0) / h,
-                    false => crossing(&|c| needed(x, c), h, &mut near),
+                    false => decreasing_root(&|c| needed(x, c), h, &mut near),
                 };
                 both * weight * spread.beyond(&law, c)
             });
             half.sum()
         };
-        rising(&holds, self.limits.confidence, spread.large(self.limits.confidence, self.widths.at(off / s)))
+        increasing_root(
+            &holds,
+            self.limits.confidence,
+            spread.approximate_half_width(self.limits.confidence, self.widths.at(off / s)),
+        )
     }
 }
 
@@ -254,8 +260,8 @@ fn normal() -> Normal {
 /// Node k of the normal law and its weight. Weighted sums over all nodes are expectations by the trapezoidal rule,
 /// which is accurate to many digits for functions that fall off as the normal law does.
 fn node(k: usize) -> (f64, f64) {
-    let step = 2.0 * WIDE / NODES as f64;
-    let x = step * (k as f64 - 0.5 * NODES as f64);
+    let step = 2.0 * HALF_RANGE / INTERVALS as f64;
+    let x = step * (k as f64 - 0.5 * INTERVALS as f64);
     (x, step * (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt())
 }
 

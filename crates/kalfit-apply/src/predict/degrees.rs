@@ -8,14 +8,14 @@ use kalfit_algebra::symmetric;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 
 /// Fraction of a mean's error variance below which the errors of one estimate cost no degree of freedom.
-const SHARE: f64 = 0.01;
+const NOTICEABLE_SHARE: f64 = 0.01;
 /// Variances are one estimate where the squared correlation of their estimates is closer to one than this.
-const ONE: f64 = 1e-6;
+const PERFECT_CORRELATION_GAP: f64 = 1e-6;
 /// States have no independent variation in directions where their correlation matrix has an eigenvalue below this.
-const FLAT: f64 = 1e-9;
+const LEAST_EIGENVALUE: f64 = 1e-9;
 
 /// One value, and what it depends on.
-pub(super) struct Degrees<'a> {
+pub(super) struct LostDegrees<'a> {
     pub(super) knowledge: &'a Knowledge,
     /// Covariance of the initial state of tests.
     pub(super) covariance: &'a DMatrix<f64>,
@@ -25,18 +25,18 @@ pub(super) struct Degrees<'a> {
     pub(super) by_mean: DVector<f64>,
     pub(super) by_variance: DVector<f64>,
     /// Whether the initial value of a state affects the value.
-    pub(super) holds: &'a dyn Fn(usize) -> bool,
+    pub(super) affects: &'a dyn Fn(usize) -> bool,
 }
 
-impl Degrees<'_> {
+impl LostDegrees<'_> {
     /// One for the means of the states in the value, whatever they are: as many tests determine one combination of
     /// states as any other. More where variances were tied: one for each mean that was estimated with the one variance.
     /// One for each column that means are regressed on, and for each parameter, and each state that is identical in all
     /// tests, that the mean depends on noticeably.
     pub(super) fn lost(&self) -> usize {
         let tied = self.tied();
-        let is_in = |element: usize| (self.holds)(element) || tied.contains(&element);
-        let random = self.means().any(|(_, i)| self.varies(i) && (self.holds)(i));
+        let is_in = |element: usize| (self.affects)(element) || tied.contains(&element);
+        let random = self.means().any(|(_, i)| self.varies(i) && (self.affects)(i));
         let coefficients = self.quantities().filter_map(|(_, known)| match *known {
             Estimand::Population(Estimated::Coefficient(c)) if is_in(self.regressions[c].0) => {
                 Some(self.regressions[c])
@@ -45,7 +45,7 @@ impl Degrees<'_> {
         });
         let as_one = |(element, column): (usize, usize)| (if tied.len() > 1 { element } else { 0 }, column);
         let columns: BTreeSet<(usize, usize)> = coefficients.map(as_one).collect();
-        usize::from(random).max(self.ways(&tied)) + columns.len() + self.others()
+        usize::from(random).max(self.independent_directions(&tied)) + columns.len() + self.noticeable_others()
     }
 
     fn quantities(&self) -> impl Iterator<Item = (usize, &Estimand)> {
@@ -75,31 +75,33 @@ impl Degrees<'_> {
 
     /// Number of parameters, and of means that are identical in all tests, whose errors are a noticeable part of the
     /// value's.
-    fn others(&self) -> usize {
-        let carried = &self.knowledge.covariance * &self.by_mean;
-        let whole = self.by_mean.dot(&carried);
-        let is_noticed = |k: usize| {
+    fn noticeable_others(&self) -> usize {
+        let covariances = &self.knowledge.covariance * &self.by_mean;
+        let whole = self.by_mean.dot(&covariances);
+        let is_noticeable = |k: usize| {
             let own = self.knowledge.covariance[(k, k)];
-            own > 0.0 && (self.by_mean[k].powi(2) * own).max(carried[k].powi(2) / own) > SHARE * whole
+            own > 0.0 && (self.by_mean[k].powi(2) * own).max(covariances[k].powi(2) / own) > NOTICEABLE_SHARE * whole
         };
         let fixed = self.means().filter(|&(_, i)| !self.varies(i)).map(|(k, _)| k);
         let moves = |k: usize| self.by_mean[k] != 0.0;
         let parameters = self.quantities().filter(|(_, known)| matches!(known, Estimand::Parameter { .. }));
         let parameters = parameters.map(|(k, _)| k).filter(|&k| moves(k));
-        fixed.chain(parameters).filter(|&k| is_noticed(k)).count()
+        fixed.chain(parameters).filter(|&k| is_noticeable(k)).count()
     }
 
     /// States with an estimated mean whose variance is one estimate with that of the value.
     fn tied(&self) -> BTreeSet<usize> {
-        let carried = &self.knowledge.covariance * &self.by_variance;
-        let whole = self.by_variance.dot(&carried);
-        let is_one = |k: usize| carried[k].powi(2) > (1.0 - ONE) * whole * self.knowledge.covariance[(k, k)];
+        let covariances = &self.knowledge.covariance * &self.by_variance;
+        let whole = self.by_variance.dot(&covariances);
+        let is_one = |k: usize| {
+            covariances[k].powi(2) > (1.0 - PERFECT_CORRELATION_GAP) * whole * self.knowledge.covariance[(k, k)]
+        };
         let has_mean = |state: usize| self.means().any(|(_, i)| i == state);
         self.variances().filter(|&(k, i)| whole > 0.0 && is_one(k) && has_mean(i)).map(|(_, i)| i).collect()
     }
 
     /// Number of directions in which states vary independently.
-    fn ways(&self, states: &BTreeSet<usize>) -> usize {
+    fn independent_directions(&self, states: &BTreeSet<usize>) -> usize {
         let states: Vec<usize> = states.iter().copied().filter(|&i| self.covariance[(i, i)] > 0.0).collect();
         if states.len() < 2 {
             return states.len();
@@ -108,6 +110,6 @@ impl Degrees<'_> {
         let correlations = DMatrix::from_fn(states.len(), states.len(), |i, k| {
             self.covariance[(states[i], states[k])] / (size(i) * size(k))
         });
-        symmetric::eigen(&correlations).0.iter().filter(|value| **value > FLAT).count()
+        symmetric::eigen(&correlations).0.iter().filter(|value| **value > LEAST_EIGENVALUE).count()
     }
 }

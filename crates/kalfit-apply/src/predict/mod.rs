@@ -197,8 +197,8 @@ impl Initial {
         let between = (1..=model.levels.len()).fold(DMatrix::zeros(p, p), |sum, level| sum + block(level));
         let inverse = kalfit_algebra::symmetric::pseudo_inverse(&between);
         // in directions in which groups do not differ, m is μ
-        let still = DMatrix::identity(p, p) - &between * &inverse;
-        let shrinkage = Some(covariance * inverse + still);
+        let invariant = DMatrix::identity(p, p) - &between * &inverse;
+        let shrinkage = Some(covariance * inverse + invariant);
         let by_mean = follows.as_ref().map(|follows| follows.columns(0, p).into_owned());
         Initial {
             mean,
@@ -283,11 +283,11 @@ impl Predictor {
         }
         let mut propagators = self.propagators.iter();
         let at = |propagator: &Propagator| propagator.trajectory(&self.model, design, (initial, &self.coefficients));
-        let home = propagators.next().map(at).expect("the model itself is the first propagator")?;
+        let central = propagators.next().map(at).expect("the model itself is the first propagator")?;
         let sides = propagators.map(at).collect::<Result<Vec<Trajectory>, _>>()?;
         let known = self.knowledge.as_ref().map(|knowledge| (knowledge, &self.steps));
-        home.check(&design.id, initial)?;
-        Ok(home.predictions(&sides, initial, known))
+        central.check(&design.id, initial)?;
+        Ok(central.predictions(&sides, initial, known))
     }
 }
 

@@ -21,7 +21,7 @@ pub struct Ellipse {
 }
 
 /// Ratio of the variances along the two axes below which the smaller one is rounding.
-const FLAT: f64 = 1e-12;
+const LEAST_VARIANCE_RATIO: f64 = 1e-12;
 /// Number of strips in the integral over a circle.
 const STRIPS: usize = 400;
 
@@ -31,7 +31,7 @@ impl Pair {
         let [a, b, c] = self.variances;
         let (middle, half) = (0.5 * (a + b), (0.25 * (a - b) * (a - b) + c * c).sqrt());
         let [long, short] = [middle + half, middle - half];
-        let short = if short > FLAT * long { short.sqrt() } else { 0.0 };
+        let short = if short > LEAST_VARIANCE_RATIO * long { short.sqrt() } else { 0.0 };
         ([long.max(0.0).sqrt(), short], 0.5 * (2.0 * c).atan2(a - b))
     }
 
@@ -58,10 +58,10 @@ impl Pair {
 }
 
 fn radius(content: f64, mean: [f64; 2], axes: [f64; 2]) -> f64 {
-    let far = mean[0].hypot(mean[1]);
-    let (mut low, mut high) = (0.0, far + 10.0 * axes[0]);
+    let offset = mean[0].hypot(mean[1]);
+    let (mut low, mut high) = (0.0, offset + 10.0 * axes[0]);
     if axes[0] == 0.0 {
-        return far;
+        return offset;
     }
     for _ in 0..60 {
         let middle = 0.5 * (low + high);

@@ -3,7 +3,7 @@
 /// Root of a function between two points at which its signs differ: regula falsi, in which the value at an end that
 /// stays is halved (Illinois), and bisection where the function is infinite.
 fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)) -> f64 {
-    const CLOSE: f64 = 1e-11;
+    const ROOT_TOLERANCE: f64 = 1e-11;
     for _ in 0..100 {
         let is_finite = before.1.is_finite() && last.1.is_finite();
         let middle = match is_finite {
@@ -11,7 +11,7 @@ fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)
             false => 0.5 * (before.0 + last.0),
         };
         let found = of(middle);
-        if found.abs() < CLOSE || (last.0 - before.0).abs() < CLOSE * last.0.abs().max(1.0) {
+        if found.abs() < ROOT_TOLERANCE || (last.0 - before.0).abs() < ROOT_TOLERANCE * last.0.abs().max(1.0) {
             return middle;
         }
         if (found > 0.0) == (last.1 > 0.0) {
@@ -25,12 +25,12 @@ fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)
 
 /// Roots of earlier searches, for a function that changes little from one search to the next.
 #[derive(Debug, Default)]
-pub(super) struct KnownRoots {
+pub(super) struct EarlierRoots {
     /// Logarithms of the last two roots.
     last: [Option<f64>; 2],
 }
 
-impl KnownRoots {
+impl EarlierRoots {
     /// (Starting point, distance to the next point).
     fn start(&self) -> (f64, f64) {
         match self.last {
@@ -47,8 +47,8 @@ impl KnownRoots {
 
 /// Point at which a decreasing function falls to `level`; zero where it is below from the start. The function is about
 /// a power of c, so the search is in logarithms, and starts from earlier roots.
-pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut KnownRoots) -> f64 {
-    const FAR: f64 = 20.0;
+pub(super) fn decreasing_root(of: &dyn Fn(f64) -> f64, level: f64, near: &mut EarlierRoots) -> f64 {
+    const MOST_LOG_DISTANCE: f64 = 20.0;
     let above = |u: f64| {
         let found = of(u.exp());
         if found > 0.0 { (found / level).ln() } else { f64::NEG_INFINITY }
@@ -67,7 +67,7 @@ pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut KnownRoot
         }
         far *= 3.0;
         (low, high) = (high, next(high.0 + far));
-        if high.0.abs() > FAR {
+        if high.0.abs() > MOST_LOG_DISTANCE {
             break if side > 0.0 { f64::INFINITY } else { f64::NEG_INFINITY };
         }
     };
@@ -77,7 +77,7 @@ pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut KnownRoot
 
 /// Point at which an increasing function that is zero at zero reaches `wanted`; `None` where it never does. `size`:
 /// order of magnitude of the root.
-pub(super) fn rising(of: &dyn Fn(f64) -> f64, wanted: f64, size: f64) -> Option<f64> {
+pub(super) fn increasing_root(of: &dyn Fn(f64) -> f64, wanted: f64, size: f64) -> Option<f64> {
     let at = |x: f64| (x, of(x * size) - wanted);
     let start = at(1.0);
     let (mut low, mut high, mut factor) = (start, start, 1.1);

@@ -5,20 +5,20 @@ use std::ops::Range;
 
 use nalgebra::DVector;
 
-use crate::predict::degrees::Degrees;
+use crate::predict::degrees::LostDegrees;
 use crate::predict::value::PredictedValue;
 use crate::predict::{Estimation, Initial};
 use kalfit_infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
 use kalfit_model::{Alpha, Phase, PhasedModel};
 
 /// Fraction of its scale below which a derivative counts as zero.
-const FAINT: f64 = 1e-9;
+const NEGLIGIBLE_SLOPE: f64 = 1e-9;
 
 /// Free values of α moved to both sides, for derivatives.
 #[derive(Debug)]
 pub(super) struct ValueSteps {
     /// For each quantity, and then for each open one: (index of its lower side in `moved`, distance between the sides).
-    places: Vec<Option<(usize, f64)>>,
+    side_indices: Vec<Option<(usize, f64)>>,
     /// Indices in `moved` of the noise levels that were estimated as zero.
     probes: Vec<usize>,
     /// (element, column) of each regression coefficient.
@@ -33,7 +33,7 @@ impl ValueSteps {
             own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
         };
         let regressions = model.phases.iter().zip(model.ranges()).flat_map(of_phase).collect();
-        let mut steps = ValueSteps { places: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
+        let mut steps = ValueSteps { side_indices: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
         let Some(knowledge) = knowledge else { return steps };
         let errors = (0..knowledge.quantities.len()).map(|i| Some(knowledge.covariance[(i, i)].max(0.0).sqrt()));
         let all = knowledge.quantities.iter().zip(errors).chain(knowledge.open.iter().map(|open| (open, None)));
@@ -42,7 +42,7 @@ impl ValueSteps {
                 steps.moved.extend(sides);
                 (steps.moved.len() - 2, width)
             });
-            steps.places.push(place);
+            steps.side_indices.push(place);
         }
         for known in &knowledge.at_zero {
             let mut alpha = alpha.clone();
@@ -67,12 +67,12 @@ impl ValueSteps {
         let own = value.sensitivity.rows(0, p);
         let is_seen = |known: &Estimand| match *known {
             Estimand::Population(Estimated::Covariance(i, _)) => {
-                initial.levels.contains(&(i / p)) && own[i % p].abs() > FAINT * own.amax()
+                initial.levels.contains(&(i / p)) && own[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax()
             }
             _ => false,
         };
         let variance = |side: &PredictedValue| side.population(&initial.covariance) + side.process;
-        let moves = |&place: &usize| variance(sides[place]) > variance(value) * (1.0 + FAINT);
+        let moves = |&place: &usize| variance(sides[place]) > variance(value) * (1.0 + NEGLIGIBLE_SLOPE);
         knowledge.at_zero.iter().any(is_seen) || self.probes.iter().any(moves)
     }
 
@@ -82,13 +82,13 @@ impl ValueSteps {
 
     fn lost(&self, knowledge: &Knowledge, initial: &Initial, of: &Slopes<'_>, all: &[[f64; 3]]) -> usize {
         let slopes = |part: usize| DVector::from_iterator(all.len(), all.iter().map(|slopes| slopes[part]));
-        let degrees = Degrees {
+        let degrees = LostDegrees {
             knowledge,
             covariance: &initial.covariance,
             regressions: &self.regressions,
             by_mean: slopes(0),
             by_variance: slopes(1),
-            holds: &|element| of.own[element].abs() > FAINT * of.own.amax(),
+            affects: &|element| of.own[element].abs() > NEGLIGIBLE_SLOPE * of.own.amax(),
         };
         degrees.lost()
     }
@@ -104,7 +104,7 @@ impl ValueSteps {
     ) -> Option<Estimation> {
         let of = Slopes::new(self, initial, value, sides);
         let count = knowledge.quantities.len();
-        if knowledge.open.iter().enumerate().any(|(k, open)| of.is_moved_by(count + k, open)) {
+        if knowledge.open.iter().enumerate().any(|(k, open)| of.depends_on(count + k, open)) {
             return None;
         }
         let all: Vec<[f64; 3]> = knowledge.quantities.iter().enumerate().map(|(at, one)| of.by(at, one)).collect();
@@ -167,7 +167,7 @@ impl<'a> Slopes<'a> {
             }
             Estimand::Population(_) => [0.0; 3],
             Estimand::Parameter { .. } => {
-                let Some((place, width)) = self.steps.places[at] else { return [0.0; 3] };
+                let Some((place, width)) = self.steps.side_indices[at] else { return [0.0; 3] };
                 let [below, above] = [self.sides[place], self.sides[place + 1]];
                 let slope = |of: &dyn Fn(&PredictedValue) -> f64| (of(above) - of(below)) / width;
                 let population = |side: &PredictedValue| side.population(&self.initial.covariance);
@@ -177,17 +177,17 @@ impl<'a> Slopes<'a> {
     }
 
     /// Whether the value depends on estimand number `at`.
-    fn is_moved_by(&self, at: usize, estimand: &Estimand) -> bool {
+    fn depends_on(&self, at: usize, estimand: &Estimand) -> bool {
         let size = self.own.amax();
         if let Estimand::Population(_) = estimand {
             let found = self.by(at, estimand);
-            return found[0].abs() > FAINT * size || found[1].abs() > FAINT * size.powi(2);
+            return found[0].abs() > NEGLIGIBLE_SLOPE * size || found[1].abs() > NEGLIGIBLE_SLOPE * size.powi(2);
         }
-        let Some((place, _)) = self.steps.places[at] else { return false };
+        let Some((place, _)) = self.steps.side_indices[at] else { return false };
         let [below, above] = [self.sides[place], self.sides[place + 1]];
         let variance = |side: &PredictedValue| side.population(&self.initial.covariance) + side.process;
         let moves = |of: &dyn Fn(&PredictedValue) -> f64, size: f64| {
-            (of(above) - of(below)).abs() > FAINT * MOST_OF_A_VALUE * size
+            (of(above) - of(below)).abs() > NEGLIGIBLE_SLOPE * MOST_OF_A_VALUE * size
         };
         moves(&|side| side.mean, self.value.mean.abs() + size) || moves(&variance, variance(self.value))
     }

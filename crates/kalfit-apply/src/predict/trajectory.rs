@@ -84,7 +84,7 @@ impl Propagator {
         work: &mut PhasedWork,
     ) -> Result<(PhaseTrajectory, Option<(EnteringState, Terminal)>), PredictError> {
         let phase = &self.reducer.phases()[at];
-        let (blank, read) = (filled(rows, f64::NAN), filled(rows, 0.0));
+        let (blank, read) = (with_output_column(rows, f64::NAN), with_output_column(rows, 0.0));
         let inherited = before.map(|before| Ok::<_, PredictError>((before, phase.inherited(&blank, &mut work.cells)?)));
         let inherited = inherited.transpose()?;
         let record = EvaluatedPhase::new(phase, &read)?;
@@ -116,7 +116,7 @@ impl Propagator {
             let mut trajectory = Vec::with_capacity(work.design.steps());
             run.filtered_states(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
                 if !measured && let Some((rows, time, forms)) = steps.next() {
-                    let state = Reached::new(seen, &entering);
+                    let state = StepState::new(seen, &entering);
                     let values = forms.iter().map(|(subject, form)| state.value((*subject, rows.start), form));
                     trajectory.push((rows.clone(), time, values.collect()));
                 }
@@ -130,7 +130,7 @@ impl Propagator {
 }
 
 /// Copies the rows and adds a last column of `value`, from which outputs are read.
-fn filled(rows: &Test, value: f64) -> Test {
+fn with_output_column(rows: &Test, value: f64) -> Test {
     let (numbers, texts) = rows.widths();
     let mut test = Test::new(rows.id.clone(), numbers + 1, texts);
     let mut cells = Vec::with_capacity(numbers + 1);
@@ -155,7 +155,7 @@ impl EnteringState {
 }
 
 /// Moments of the states at a step.
-struct Reached {
+struct StepState {
     mean: DVector<f64>,
     /// Derivatives with respect to (ξ, γ): n × their number.
     sensitivity: DMatrix<f64>,
@@ -163,12 +163,12 @@ struct Reached {
     covariance: DMatrix<f64>,
 }
 
-impl Reached {
-    fn new(seen: FilterSnapshot<'_>, entering: &EnteringState) -> Reached {
+impl StepState {
+    fn new(seen: FilterSnapshot<'_>, entering: &EnteringState) -> StepState {
         let Psi = seen.sensitivity();
         let mut covariance = &Psi * &entering.covariance * Psi.transpose();
         seen.add_noise(&mut covariance);
-        Reached {
+        StepState {
             mean: DVector::from_column_slice(seen.x) + &Psi * &entering.mean,
             sensitivity: Psi * &entering.sensitivity,
             covariance,
@@ -227,9 +227,9 @@ impl Trajectory {
         known: Option<(&Knowledge, &ValueSteps)>,
     ) -> Vec<PhasePredictions> {
         let predicted = |phase: usize, step: usize, place: usize, value: &PredictedValue| {
-            let beside: Vec<&PredictedValue> =
+            let moved: Vec<&PredictedValue> =
                 sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
-            let estimation = known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside));
+            let estimation = known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &moved));
             let population = value.population(&initial.covariance);
             let left = initial.left.as_ref().filter(|_| estimation.is_none()); // otherwise it is part of `estimation`
             Predicted {
@@ -239,7 +239,7 @@ impl Trajectory {
                 population: population + left.map_or(0.0, |left| value.population(left)),
                 process: value.process,
                 hangs_on_zero: known
-                    .is_some_and(|(knowledge, steps)| steps.hangs_on_zero(knowledge, initial, value, &beside)),
+                    .is_some_and(|(knowledge, steps)| steps.hangs_on_zero(knowledge, initial, value, &moved)),
                 estimation,
                 limits: MeanLimits::Error,
             }

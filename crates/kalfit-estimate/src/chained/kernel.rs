@@ -107,17 +107,17 @@ struct PhaseInformation<A: Algebra> {
 impl<A: Algebra> ChainPhases<'_, A> {
     /// Likelihood terms of the class; `None` where the arithmetic would lose digits.
     #[inline(always)]
-    pub(super) fn said(&self, prior: &Prior<'_, A::Number>, detail: ChainDetail) -> Option<ChainTerms<A::Number>> {
-        let (mut root_det, mut borne) = (RootDet::new(), true);
-        let (known, mut quadratic) = self.backward(prior, &mut root_det, &mut borne);
+    pub(super) fn evaluated(&self, prior: &Prior<'_, A::Number>, detail: ChainDetail) -> Option<ChainTerms<A::Number>> {
+        let (mut root_det, mut is_accurate) = (RootDet::new(), true);
+        let (known, mut quadratic) = self.backward(prior, &mut root_det, &mut is_accurate);
         let phases = self.phases.len();
         let (mut r, mut within) = (Vec::with_capacity(phases), Vec::with_capacity(phases));
-        let (mut N, mut carried, mut covariances) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut N, mut transitions, mut covariances) = (Vec::new(), Vec::new(), Vec::new());
         let mut rest: Option<[A::Matrix; 2]> = None;
         let (mut B, mut m) = (prior.root::<A>(&self.phases[0]), prior.mean::<A>(&self.phases[0]));
         for (i, (phase, known)) in self.phases.iter().zip(&known).enumerate() {
             let (own, next) = (phase.own.len(), self.phases.get(i + 1));
-            let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &known.factor)], &mut borne);
+            let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &known.factor)], &mut is_accurate);
             let u = A::solved_data(&upper, A::less(known.data.clone(), &A::apply(&known.factor, &m)));
             let Y = A::solved(&upper, known.factor.clone());
             if i == 0 {
@@ -131,14 +131,14 @@ impl<A: Algebra> ChainPhases<'_, A> {
                 N.push(information);
             }
             if detail == ChainDetail::Posterior {
-                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), known, &mut borne));
+                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), known, &mut is_accurate));
             }
             let Some(next) = next else { continue };
             let link = next.link.as_ref().expect("later phases have links");
             let step = PhaseUpdate::<A>::new(phase, (B, m));
             m = A::plus(A::apply(&link.sensitivity, &step.mean), &prior.mean::<A>(next));
             if detail == ChainDetail::Between {
-                carried.push(A::times(&link.sensitivity, &step.left(phase)));
+                transitions.push(A::times(&link.sensitivity, &step.left(phase)));
             }
             let inherited = A::times_transpose(&step.root, &link.sensitivity);
             rest = (detail == ChainDetail::Posterior).then(|| [inherited.clone(), link.root.clone()]);
@@ -146,21 +146,21 @@ impl<A: Algebra> ChainPhases<'_, A> {
             A::absorb_rows(&mut B, inherited);
             A::absorb_rows(&mut B, link.root.clone());
         }
-        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &carried) } else { alone(within) };
+        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &transitions) } else { alone(within) };
         let link_root_det = match detail {
-            ChainDetail::Posterior => self.link_root_det(&mut borne).parts(),
+            ChainDetail::Posterior => self.link_root_det(&mut is_accurate).parts(),
             _ => RootDet::new().parts(),
         };
-        borne.then_some(ChainTerms { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
+        is_accurate.then_some(ChainTerms { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
     }
 
     /// Root of |S| of the links alone: from the backward pass at Σ = 0.
     #[inline(always)]
-    fn link_root_det(&self, borne: &mut bool) -> RootDet<A::Number> {
+    fn link_root_det(&self, is_accurate: &mut bool) -> RootDet<A::Number> {
         let states = self.phases.iter().map(|phase| phase.own.end).max().unwrap_or(0);
         let (root, mean) = (Root(Cow::Owned(DMatrix::zeros(states, states))), vec![A::Number::splat(0.0); states]);
         let mut root_det = RootDet::new();
-        self.backward(&Prior { root: &root, mean: &mean }, &mut root_det, borne);
+        self.backward(&Prior { root: &root, mean: &mean }, &mut root_det, is_accurate);
         root_det
     }
 
@@ -170,9 +170,9 @@ impl<A: Algebra> ChainPhases<'_, A> {
         &self,
         prior: &Prior<'_, A::Number>,
         root_det: &mut RootDet<A::Number>,
-        borne: &mut bool,
+        is_accurate: &mut bool,
     ) -> (Vec<PhaseInformation<A>>, A::Number) {
-        let mut lost = A::Number::splat(0.0);
+        let mut squared_residuals = A::Number::splat(0.0);
         let mut all: Vec<PhaseInformation<A>> = Vec::with_capacity(self.phases.len());
         for (i, phase) in self.phases.iter().enumerate().rev() {
             let (mut factor, mut data) = (phase.factor.clone(), phase.data.clone());
@@ -180,17 +180,17 @@ impl<A: Algebra> ChainPhases<'_, A> {
                 let link = next.link.as_ref().expect("later phases have links");
                 let own = A::times_upper_transpose(&prior.root::<A>(next), &later.factor);
                 let noise = A::times_upper_transpose(&link.root, &later.factor);
-                let spread = A::identity_plus(&[&own, &noise], borne);
+                let spread = A::identity_plus(&[&own, &noise], is_accurate);
                 root_det.add::<A>(&spread);
                 let residual = A::less(later.data.clone(), &A::apply(&later.factor, &prior.mean::<A>(next)));
-                let told = A::solved(&spread, A::times(&later.factor, &link.sensitivity));
-                let left = A::absorb(&mut factor, &mut data, told, A::solved_data(&spread, residual));
-                lost = lost + A::squares(self.count, &left);
+                let whitened = A::solved(&spread, A::times(&later.factor, &link.sensitivity));
+                let left = A::absorb(&mut factor, &mut data, whitened, A::solved_data(&spread, residual));
+                squared_residuals = squared_residuals + A::squares(self.count, &left);
             }
             all.push(PhaseInformation { factor, data });
         }
         all.reverse();
-        (all, lost)
+        (all, squared_residuals)
     }
 
     /// All blocks W_ki = E'N_k F_{k-1}…F_i E; `within` has the blocks W_kk.
@@ -199,7 +199,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
         &self,
         within: Vec<Rows<A::Number>>,
         N: &[A::Matrix],
-        carried: &[A::Matrix],
+        transitions: &[A::Matrix],
     ) -> Vec<Option<Rows<A::Number>>> {
         let phases = self.phases.len();
         let mut blocks = Vec::with_capacity(phases * (phases + 1) / 2);
@@ -207,10 +207,10 @@ impl<A: Algebra> ChainPhases<'_, A> {
             let (p, first) = (own.nrows(), blocks.len());
             blocks.push(Some(own));
             if k > 0 {
-                let mut row = A::times(&N[k], &carried[k - 1]);
+                let mut row = A::times(&N[k], &transitions[k - 1]);
                 blocks.push(Some(A::leading_block(&row, p, self.phases[k - 1].own.len())));
                 for i in (0..k - 1).rev() {
-                    row = A::times(&row, &carried[i]);
+                    row = A::times(&row, &transitions[i]);
                     blocks.push(Some(A::leading_block(&row, p, self.phases[i].own.len())));
                 }
             }
@@ -258,17 +258,17 @@ impl<A: Algebra> PhaseUpdate<A> {
     fn new(phase: &PhaseView<A::Matrix, A::Data>, (B, prior): (A::Matrix, A::Data)) -> PhaseUpdate<A> {
         let rows = A::transposed(&A::times_upper_transpose(&B, &phase.factor));
         let residual = A::less(phase.data.clone(), &A::apply(&phase.factor, &prior));
-        let (upper, told) = A::identity_absorbing(rows, residual);
+        let (upper, whitened) = A::identity_absorbing(rows, residual);
         let root = A::solved(&upper, B);
-        let mean = A::plus(prior, &A::apply_transpose(&root, &told));
+        let mean = A::plus(prior, &A::apply_transpose(&root, &whitened));
         PhaseUpdate { root, mean }
     }
 
     /// The matrix I - CC'J.
     #[inline(always)]
     fn left(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
-        let seen = A::times_upper_transpose(&self.root, &phase.factor);
-        A::identity_less(&A::transpose_times(&self.root, &A::times(&seen, &phase.factor)))
+        let whitened_factor = A::times_upper_transpose(&self.root, &phase.factor);
+        A::identity_less(&A::transpose_times(&self.root, &A::times(&whitened_factor, &phase.factor)))
     }
 }
 
@@ -280,19 +280,19 @@ fn posterior_covariance<A: Algebra>(
     phase: &PhaseView<A::Matrix, A::Data>,
     rest: Option<&[A::Matrix; 2]>,
     known: &PhaseInformation<A>,
-    borne: &mut bool,
+    is_accurate: &mut bool,
 ) -> Rows<A::Number> {
     let p = phase.own.len();
-    let seen = match rest {
+    let whitened_factor = match rest {
         None => known.factor.clone(),
         Some([inherited, noise]) => {
             let inherited = A::times_upper_transpose(inherited, &known.factor);
             let noise = A::times_upper_transpose(noise, &known.factor);
-            A::solved(&A::identity_plus(&[&inherited, &noise], borne), known.factor.clone())
+            A::solved(&A::identity_plus(&[&inherited, &noise], is_accurate), known.factor.clone())
         }
     };
     let own = prior.root::<A>(phase);
-    let half = A::solved(&A::identity_plus(&[&A::times_transpose(&seen, &own)], borne), own);
+    let half = A::solved(&A::identity_plus(&[&A::times_transpose(&whitened_factor, &own)], is_accurate), own);
     A::leading_block(&A::transpose_times(&half, &half), p, p)
 }
 

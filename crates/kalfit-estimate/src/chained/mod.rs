@@ -4,11 +4,11 @@
 //! Data of a class: everything is linear in d, so n tests are represented by the mean of their d, and by columns whose
 //! outer products add up to the scatter about it, at most as many columns as numbers in d.
 
-mod kept;
 mod kernel;
 mod packed;
 mod phase;
 mod shape;
+mod store;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -23,12 +23,12 @@ use kalfit_algebra::factors::{CrossFactors, Factors, Rotations};
 use kalfit_algebra::rows::Rows;
 use kalfit_model::{Chain, ChainPhase};
 
-pub use kept::ChainStore;
-pub(crate) use kept::grouped;
 pub use kernel::ChainDetail;
 pub(crate) use kernel::{ChainTerms, Root};
 pub(crate) use packed::Packed;
 pub(crate) use shape::ChainShape;
+pub use store::ChainStore;
+pub(crate) use store::grouped;
 
 /// Tests whose chains share all matrices, in η: the coordinates of σ that are new in a phase are centred and in units
 /// of the frame.
@@ -40,7 +40,7 @@ pub struct ChainedClass<T = f64> {
     /// n, number of tests.
     count: T,
     /// Whether some phase needs square-root arithmetic.
-    careful: bool,
+    needs_rotations: bool,
 }
 
 impl ChainedClass {
@@ -54,10 +54,10 @@ impl ChainedClass {
     /// n J of the first `phases` phases together on the initial states of all phases, `states` × `states`.
     pub fn information(&self, phases: usize, states: usize) -> DMatrix<f64> {
         let first = ChainedClass { phases: self.phases[..phases].to_vec(), ..self.clone() };
-        let said = first.at(&vec![0.0; states], &Root::of(&DMatrix::zeros(states, states)), ChainDetail::Between);
+        let evaluated = first.at(&vec![0.0; states], &Root::of(&DMatrix::zeros(states, states)), ChainDetail::Between);
         let mut information = DMatrix::zeros(states, states);
         let own: Vec<&Range<usize>> = first.ranges().collect();
-        let mut blocks = said.W.iter().flatten();
+        let mut blocks = evaluated.W.iter().flatten();
         for (k, one) in own.iter().enumerate() {
             for (other, block) in own[..=k].iter().zip(&mut blocks) {
                 for (a, row) in (**one).clone().enumerate() {
@@ -75,8 +75,9 @@ impl ChainedClass {
     /// phases.
     pub(crate) fn at(&self, mean: &[f64], root: &Root<'_>, detail: ChainDetail) -> ChainTerms {
         let prior = Prior { root, mean };
-        let plain = if self.careful { None } else { self.through::<CrossFactors<f64>>().said(&prior, detail) };
-        plain.unwrap_or_else(|| self.through::<Rotations<f64>>().said(&prior, detail).expect(BEARS))
+        let plain =
+            if self.needs_rotations { None } else { self.through::<CrossFactors<f64>>().evaluated(&prior, detail) };
+        plain.unwrap_or_else(|| self.through::<Rotations<f64>>().evaluated(&prior, detail).expect(ROTATIONS_SUCCEED))
     }
 
     /// A class with the same matrices and no tests, whose terms are zero.
@@ -103,7 +104,7 @@ impl<T: Real> ChainedClass<T> {
 }
 
 /// Why square-root arithmetic always gives a result.
-const BEARS: &str = "rotations bear any size";
+const ROTATIONS_SUCCEED: &str = "rotations bear any size";
 
 /// Unit of each of the q coordinates of a phase's σ: that of the frame for the phase's new states, else one.
 fn scales(q: usize, own: &Range<usize>, frame: &Frame, scale: &mut Vec<f64>) {
@@ -125,7 +126,7 @@ fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64],
 }
 
 /// Product R_i σ of row i of a phase's R.
-fn told(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
+fn factor_row_times(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
     (i..sigma.len()).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum()
 }
 
@@ -134,7 +135,7 @@ fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<f64> {
     let (mut all, mut sigma, mut before) = (Vec::new(), Vec::new(), Vec::new());
     for (phase, own) in chain.phases.iter().zip(ranges) {
         centre(phase, own, frame, &before, &mut sigma);
-        all.extend((0..phase.data.len()).map(|i| phase.data[i] - told(phase, i, &sigma)));
+        all.extend((0..phase.data.len()).map(|i| phase.data[i] - factor_row_times(phase, i, &sigma)));
         std::mem::swap(&mut sigma, &mut before);
     }
     all
@@ -220,7 +221,7 @@ mod tests {
             phases: chained.phases.iter().map(phase).collect(),
             shape: chained.shape.clone(),
             count: Counted(chained.count),
-            careful: false,
+            needs_rotations: false,
         }
     }
 
@@ -231,7 +232,10 @@ mod tests {
             let (root, mean) = (DMatrix::identity(3 * phases, 3 * phases), vec![Counted::splat(0.1); 3 * phases]);
             let prior = Prior { root: &Root::of(&root), mean: &mean };
             let flops = Counted::count(|| {
-                chained.through::<CrossFactors<Counted>>().said(&prior, ChainDetail::Phases).expect("of common size");
+                chained
+                    .through::<CrossFactors<Counted>>()
+                    .evaluated(&prior, ChainDetail::Phases)
+                    .expect("of common size");
             });
             flops.add + flops.mul + flops.div
         };
@@ -246,15 +250,16 @@ mod tests {
         let (root, mean) = (DMatrix::identity(12, 12), vec![0.1; 12]);
         let root = Root::of(&root);
         let plain = chained.at(&mean, &root, ChainDetail::Between);
-        let careful = ChainedClass { careful: true, ..chained.clone() }.at(&mean, &root, ChainDetail::Between);
+        let needs_rotations =
+            ChainedClass { needs_rotations: true, ..chained.clone() }.at(&mean, &root, ChainDetail::Between);
         let close = |what: &str, a: f64, b: f64| assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{what}: {a} {b}");
-        close("quadratic form", plain.quadratic, careful.quadratic);
+        close("quadratic form", plain.quadratic, needs_rotations.quadratic);
         close(
             "determinant",
             plain.root_det.0 * 2f64.powf(plain.root_det.1),
-            careful.root_det.0 * 2f64.powf(careful.root_det.1),
+            needs_rotations.root_det.0 * 2f64.powf(needs_rotations.root_det.1),
         );
-        for (a, b) in plain.W.iter().flatten().zip(careful.W.iter().flatten()) {
+        for (a, b) in plain.W.iter().flatten().zip(needs_rotations.W.iter().flatten()) {
             (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
         }
     }
@@ -287,12 +292,12 @@ mod tests {
             let chained = ChainedClass::new(&[&Chain { phases }], &ranges, &frame);
             let mut root = DMatrix::zeros(4, 4);
             root.view_mut((0, 0), (2, 2)).fill_with_identity();
-            let said = chained.at(&[0.0; 4], &Root::of(&root), ChainDetail::Phases);
+            let evaluated = chained.at(&[0.0; 4], &Root::of(&root), ChainDetail::Phases);
             // one measurement after the other: the second state from N(0, 1) to N(-0.2, 1/2), then the sum, with gain K
             let (mean, variance) = (0.5 * second, 0.5);
             let total = 1.0 + variance + sigma * sigma;
             let (posterior, left) = ((sum - mean) / total, (variance + sigma * sigma) / total);
-            let (found, expected) = (said.r[1][(0, 0)], (first - posterior) / (1.0 + left));
+            let (found, expected) = (evaluated.r[1][(0, 0)], (first - posterior) / (1.0 + left));
             assert!((found / expected - 1.0).abs() < 1e-15 / sigma + 1e-14, "{sigma}: {found} {expected}");
         }
     }
@@ -334,11 +339,11 @@ mod tests {
     }
 
     /// All likelihood terms of a class, in one lane.
-    fn figures<T: Real>(said: &ChainTerms<T>, lane: impl Fn(T) -> f64) -> Vec<f64> {
+    fn figures<T: Real>(evaluated: &ChainTerms<T>, lane: impl Fn(T) -> f64) -> Vec<f64> {
         let root_det = |(mantissa, exponent): (T, T)| lane(mantissa).log2() + lane(exponent);
-        let matrices = said.r.iter().chain(said.W.iter().flatten()).chain(&said.covariances);
+        let matrices = evaluated.r.iter().chain(evaluated.W.iter().flatten()).chain(&evaluated.covariances);
         let mut all: Vec<f64> = matrices.flat_map(Rows::as_slice).map(|x| lane(*x)).collect();
-        all.extend([lane(said.quadratic), root_det(said.root_det), root_det(said.link_root_det)]);
+        all.extend([lane(evaluated.quadratic), root_det(evaluated.root_det), root_det(evaluated.link_root_det)]);
         all
     }
 
@@ -350,8 +355,8 @@ mod tests {
         #[inline(always)]
         fn run<T: Lanes>(self) -> Vec<f64> {
             let mean: Vec<T> = self.1.iter().map(|x| T::splat(*x)).collect();
-            let said = self.0.said::<T>(&mean, &Root::of(self.2), self.3).expect("of common size");
-            figures(&said, |x| x.lane(2))
+            let evaluated = self.0.evaluated::<T>(&mean, &Root::of(self.2), self.3).expect("of common size");
+            figures(&evaluated, |x| x.lane(2))
         }
     }
 }

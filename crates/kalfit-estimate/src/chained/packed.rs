@@ -8,8 +8,8 @@ use std::sync::Arc;
 use kalfit_lanes::{Lanes, Part, Real};
 
 use crate::chained::kernel::{ChainDetail, ChainPhases, ChainTerms, Prior, Root};
-use crate::chained::shape::is_careful;
-use crate::chained::{ChainShape, ChainedClass, LinkView, PhaseView, centre, columns, scales, told};
+use crate::chained::shape::is_by_rotations;
+use crate::chained::{ChainShape, ChainedClass, LinkView, PhaseView, centre, columns, factor_row_times, scales};
 use crate::frame::Frame;
 use kalfit_algebra::algebra::Algebra;
 use kalfit_algebra::factors::CrossFactors;
@@ -95,13 +95,18 @@ impl Packed {
     /// The class in one lane.
     pub(crate) fn chained(&self, lane: usize) -> ChainedClass {
         let phases = self.phases::<CrossFactors<f64>>(self.lanes, |entry| entry[lane]);
-        ChainedClass { phases, shape: self.shape.clone(), count: self.numbers[lane], careful: false }
+        ChainedClass { phases, shape: self.shape.clone(), count: self.numbers[lane], needs_rotations: false }
     }
 
     /// [`ChainedClass::at`] of all classes; `None` where one of them needs square-root arithmetic. Classes of one test
     /// with few states use matrices whose sizes are known at compile time.
     #[inline(always)]
-    pub(crate) fn said<T: Lanes>(&self, mean: &[T], root: &Root<'_>, detail: ChainDetail) -> Option<ChainTerms<T>> {
+    pub(crate) fn evaluated<T: Lanes>(
+        &self,
+        mean: &[T],
+        root: &Root<'_>,
+        detail: ChainDetail,
+    ) -> Option<ChainTerms<T>> {
         debug_assert_eq!(T::COUNT, self.lanes, "packed for others");
         let prior = Prior { root, mean };
         let size = if self.shape.columns == 1 { Some(self.shape.widest()) } else { None };
@@ -122,7 +127,7 @@ impl Packed {
         prior: &Prior<'_, A::Number>,
         detail: ChainDetail,
     ) -> Option<ChainTerms<A::Number>> {
-        A::Number::apart(By::<A> { packed: self, prior, detail })
+        A::Number::apart(PackedEvaluation::<A> { packed: self, prior, detail })
     }
 
     /// The matrices and data of all phases; `number` reads an entry of `lanes` numbers.
@@ -167,7 +172,7 @@ impl ChainedClass {
     pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> ChainedClass {
         let shape = Arc::new(ChainShape::of(chains, ranges));
         let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
-        ChainedClass { careful: is_careful(chains), ..packed.chained(0) }
+        ChainedClass { needs_rotations: is_by_rotations(chains), ..packed.chained(0) }
     }
 }
 
@@ -221,7 +226,7 @@ fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: 
         }
         match &shared {
             Some(columns) => (row..row + q).flat_map(|i| columns.row(i)).for_each(|x| write(*x)),
-            None => (0..q).for_each(|i| write(phase.data[i] - told(phase, i, &sigma))),
+            None => (0..q).for_each(|i| write(phase.data[i] - factor_row_times(phase, i, &sigma))),
         }
         row += q;
         if let Some(link) = &phase.link {
@@ -240,18 +245,18 @@ fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: 
 }
 
 /// Evaluates packed classes with one kind of matrices.
-struct By<'a, A: Algebra> {
+struct PackedEvaluation<'a, A: Algebra> {
     packed: &'a Packed,
     prior: &'a Prior<'a, A::Number>,
     detail: ChainDetail,
 }
 
-impl<A: Algebra<Number: Lanes>> Part for By<'_, A> {
+impl<A: Algebra<Number: Lanes>> Part for PackedEvaluation<'_, A> {
     type Output = Option<ChainTerms<A::Number>>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
         let phases = self.packed.phases::<A>(A::Number::COUNT, A::Number::load);
-        ChainPhases::<A> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
+        ChainPhases::<A> { phases: &phases, count: self.packed.count() }.evaluated(self.prior, self.detail)
     }
 }

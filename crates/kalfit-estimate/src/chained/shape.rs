@@ -27,8 +27,8 @@ pub(super) struct PhaseShape {
 impl ChainShape {
     /// Shape of tests that can be packed in lanes with others; `None` without tests, or where some phase needs
     /// rotations.
-    pub(crate) fn side_by_side(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<ChainShape> {
-        (!chains.is_empty() && !is_careful(chains)).then(|| ChainShape::of(chains, ranges))
+    pub(crate) fn for_lanes(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<ChainShape> {
+        (!chains.is_empty() && !is_by_rotations(chains)).then(|| ChainShape::of(chains, ranges))
     }
 
     /// Shape of tests with equal matrices, at least one; `ranges` has the states of each phase of the model.
@@ -67,7 +67,7 @@ impl ChainShape {
 }
 
 /// Whether some phase of the tests needs rotations: such a class is evaluated by itself.
-pub(super) fn is_careful(chains: &[&Chain]) -> bool {
+pub(super) fn is_by_rotations(chains: &[&Chain]) -> bool {
     chains.iter().flat_map(|chain| &chain.phases).any(|phase| phase.path == Path::SquareRoot)
 }
 

@@ -6,7 +6,7 @@
 use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
-use crate::lanes::gather::Gather;
+use crate::lanes::gather::ProductSums;
 use crate::lanes::rows::{add_one, log_det};
 use crate::order::Order;
 use crate::order::SumsWanted;
@@ -80,10 +80,10 @@ pub(crate) struct Accumulator<'a, T> {
     weight: Vec<Vec<T>>,
     regression: Vec<T>,
     outer: Vec<Vec<T>>,
-    curvature: Vec<Gather<T>>,
-    cross: Vec<Gather<T>>,
-    expected: Vec<Gather<T>>,
-    spread: Vec<Gather<T>>,
+    curvature: Vec<ProductSums<T>>,
+    cross: Vec<ProductSums<T>>,
+    expected: Vec<ProductSums<T>>,
+    spread: Vec<ProductSums<T>>,
     /// WE of the current class, p × M.
     WE: Vec<T>,
     /// WX of the current class, p × q.
@@ -103,8 +103,8 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         let places = places.map(|(k, i)| if k == i { pairs(sizes[k]) } else { sizes[k] * sizes[i] });
         let places: Vec<usize> = places.collect();
         let zeros = |size: usize| vec![T::splat(0.0); size];
-        let products = |sizes: &[usize], by: usize, wanted: bool| -> Vec<Gather<T>> {
-            sizes.iter().map(|size| Gather::new((size * by, *size), wanted)).collect()
+        let products = |sizes: &[usize], by: usize, wanted: bool| -> Vec<ProductSums<T>> {
+            sizes.iter().map(|size| ProductSums::new((size * by, *size), wanted)).collect()
         };
         let second = wanted.order >= Order::Second;
         let free = sizes.iter().map(|size| size * q).collect::<Vec<usize>>();
@@ -123,7 +123,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
             curvature: products(&places, 1, second),
             cross: products(&sizes, m, second),
             expected: products(&places, 1, wanted.order >= Order::Expected),
-            spread: free.iter().map(|size| Gather::new((*size, *size), q > 0)).collect(),
+            spread: free.iter().map(|size| ProductSums::new((*size, *size), q > 0)).collect(),
             WE: zeros(p * m),
             WX: zeros(p * q),
             WXV: zeros(p * q),
@@ -133,39 +133,39 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// Adds the terms of a class with these covariates.
     #[inline(always)]
-    pub(crate) fn add(&mut self, said: &impl Contribution<T>, covariates: &[T]) {
-        let count = said.count().unwrap_or(T::splat(1.0));
-        self.add_det(said);
-        self.quadratic = self.quadratic + said.quadratic();
-        for k in 0..said.phases() {
+    pub(crate) fn add(&mut self, evaluated: &impl Contribution<T>, covariates: &[T]) {
+        let count = evaluated.count().unwrap_or(T::splat(1.0));
+        self.add_det(evaluated);
+        self.quadratic = self.quadratic + evaluated.quadratic();
+        for k in 0..evaluated.phases() {
             let own = &self.wanted.elements.blocks()[k];
             for a in 0..own.len() {
                 let sum = &mut self.score[own.start + a];
-                *sum = count.fma(said.r(k, a), *sum);
+                *sum = count.fma(evaluated.r(k, a), *sum);
             }
         }
         let second = self.wanted.order >= Order::Second;
-        let mut uncertain = false;
+        let mut has_covariance = false;
         if second || !self.wanted.regressors.is_empty() || self.wanted.flat.is_some() {
-            self.weigh(said, covariates);
-            self.add_regressions(count, said, covariates);
-            uncertain = self.add_flat(count, said.phases());
+            self.compute_weights(evaluated, covariates);
+            self.add_regressions(count, evaluated, covariates);
+            has_covariance = self.add_flat(count, evaluated.phases());
         }
-        for k in 0..said.phases() {
+        for k in 0..evaluated.phases() {
             let first = if self.wanted.between() { 0 } else { k };
             for i in first..=k {
-                self.add_pair((k, i), count, said, uncertain);
+                self.add_pair((k, i), count, evaluated, has_covariance);
             }
             if second {
-                self.add_cross(k, count, said);
+                self.add_cross(k, count, evaluated);
             }
         }
     }
 
     #[inline(always)]
-    fn add_det(&mut self, said: &impl Contribution<T>) {
-        let (mantissa, exponent) = said.det();
-        let Some(count) = said.count() else {
+    fn add_det(&mut self, evaluated: &impl Contribution<T>) {
+        let (mantissa, exponent) = evaluated.det();
+        let Some(count) = evaluated.count() else {
             let (both, more) = (self.mantissa * mantissa).split();
             (self.mantissa, self.exponent) = (both, self.exponent + exponent + more);
             return;
@@ -178,18 +178,18 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// Computes WE.
     #[inline(always)]
-    fn weigh(&mut self, said: &impl Contribution<T>, covariates: &[T]) {
+    fn compute_weights(&mut self, evaluated: &impl Contribution<T>, covariates: &[T]) {
         let (m, blocks) = (self.mean, self.wanted.elements.blocks());
         let regressors = self.wanted.regressors;
-        if said.phases() < blocks.len() {
+        if evaluated.phases() < blocks.len() {
             self.WE.fill(T::splat(0.0));
         }
-        for k in 0..said.phases() {
+        for k in 0..evaluated.phases() {
             for i in 0..=k {
                 let (rows, columns) = (&blocks[k], &blocks[i]);
                 for a in 0..rows.len() {
                     let count = if k == i { a + 1 } else { columns.len() };
-                    for (b, w) in said.weight((k, a), i)[..count].iter().enumerate() {
+                    for (b, w) in evaluated.weight((k, a), i)[..count].iter().enumerate() {
                         self.WE[(rows.start + a) * m + columns.start + b] = *w;
                         self.WE[(columns.start + b) * m + rows.start + a] = *w;
                     }
@@ -205,15 +205,15 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// Adds n E'r and n E'WE of the coefficients.
     #[inline(always)]
-    fn add_regressions(&mut self, count: T, said: &impl Contribution<T>, covariates: &[T]) {
+    fn add_regressions(&mut self, count: T, evaluated: &impl Contribution<T>, covariates: &[T]) {
         let (m, elements) = (self.mean, self.wanted.elements);
         for (c, &element) in self.wanted.regressors.iter().enumerate() {
             let (k, x) = (elements.block_of(element), count * covariates[c]);
-            if k >= said.phases() {
+            if k >= evaluated.phases() {
                 continue;
             }
             let score = &mut self.score[elements.states() + c];
-            *score = x.fma(said.r(k, element - elements.blocks()[k].start), *score);
+            *score = x.fma(evaluated.r(k, element - elements.blocks()[k].start), *score);
             let sums = self.regression[c * m..][..m].iter_mut();
             for (sum, w) in sums.zip(&self.WE[element * m..]) {
                 *sum = x.fma(*w, *sum);
@@ -242,7 +242,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// Adds n W, Σ r r' with the part of the scatter, and their products, for phases k ≥ i.
     #[inline(always)]
-    fn add_pair(&mut self, (k, i): (usize, usize), count: T, said: &impl Contribution<T>, uncertain: bool) {
+    fn add_pair(&mut self, (k, i): (usize, usize), count: T, evaluated: &impl Contribution<T>, has_covariance: bool) {
         let (number, q, blocks) = (pair(k, i), self.free, self.wanted.elements.blocks());
         let second = self.wanted.order >= Order::Second;
         let (mut left, mut right): (&mut [T], &mut [T]) = (&mut [], &mut []);
@@ -253,11 +253,11 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         for a in 0..blocks[k].len() {
             let places = at..at + if k == i { a + 1 } else { blocks[i].len() };
             at = places.end;
-            let weight = &said.weight((k, a), i)[..places.len()];
+            let weight = &evaluated.weight((k, a), i)[..places.len()];
             add_one(&mut self.weight[number][places.clone()], count, weight);
             let outer = &mut self.moment[..places.len()];
             if k == i || second {
-                said.outer((k, a), i, outer);
+                evaluated.outer((k, a), i, outer);
             }
             if k == i {
                 add_one(&mut self.outer[k][places.clone()], one, outer);
@@ -267,7 +267,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
             }
             left[places.clone()].copy_from_slice(weight);
             add_one(outer, -half, weight);
-            if uncertain {
+            if has_covariance {
                 let own = &self.WXV[(blocks[k].start + a) * q..][..q];
                 let others = self.WX[blocks[i].start * q..].chunks_exact(q);
                 for (outer, other) in outer.iter_mut().zip(others) {
@@ -289,11 +289,11 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// Adds n WE ⊗ r of a phase.
     #[inline(always)]
-    fn add_cross(&mut self, k: usize, count: T, said: &impl Contribution<T>) {
+    fn add_cross(&mut self, k: usize, count: T, evaluated: &impl Contribution<T>) {
         let (m, own) = (self.mean, &self.wanted.elements.blocks()[k]);
         let (left, right) = self.cross[k].next();
         for (a, r) in right.iter_mut().enumerate() {
-            *r = said.r(k, a);
+            *r = evaluated.r(k, a);
         }
         scaled(count, &self.WE[own.start * m..own.end * m], left);
     }
@@ -308,10 +308,10 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
             weight: self.weight.iter().map(|block| summed(block)).collect(),
             regression: summed(&self.regression),
             outer: self.outer.iter().map(|block| summed(block)).collect(),
-            curvature: self.curvature.into_iter().map(Gather::total).collect(),
-            cross: self.cross.into_iter().map(Gather::total).collect(),
-            expected: self.expected.into_iter().map(Gather::total).collect(),
-            spread: self.spread.into_iter().map(Gather::total).collect(),
+            curvature: self.curvature.into_iter().map(ProductSums::total).collect(),
+            cross: self.cross.into_iter().map(ProductSums::total).collect(),
+            expected: self.expected.into_iter().map(ProductSums::total).collect(),
+            spread: self.spread.into_iter().map(ProductSums::total).collect(),
         }
     }
 }

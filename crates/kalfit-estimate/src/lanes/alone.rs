@@ -6,7 +6,7 @@ use crate::chained::{ChainDetail, ChainStore, ChainTerms, Root};
 use crate::class::ClassRef;
 use crate::lanes::any::ClassWorkspace;
 use crate::lanes::layout::ClassLayout;
-use crate::lanes::whole::InBlock;
+use crate::lanes::whole::BlockContribution;
 use crate::point::{Point, Regressors};
 
 /// Evaluates classes one by one at a point.
@@ -15,7 +15,7 @@ pub(crate) struct ClassEvaluator<'a> {
     point: &'a Point,
     regressors: &'a Regressors,
     root: Root<'a>,
-    room: ClassWorkspace<f64>,
+    workspace: ClassWorkspace<f64>,
     /// A class as a block of one lane.
     block: Vec<f64>,
 }
@@ -23,8 +23,8 @@ pub(crate) struct ClassEvaluator<'a> {
 impl<'a> ClassEvaluator<'a> {
     pub(crate) fn new(point: &'a Point, regressors: &'a Regressors) -> ClassEvaluator<'a> {
         let root = Root::of(&point.root);
-        let room = ClassWorkspace::new(&point.mean, root.lower(), 1);
-        ClassEvaluator { point, regressors, root, room, block: Vec::new() }
+        let workspace = ClassWorkspace::new(&point.mean, root.lower(), 1);
+        ClassEvaluator { point, regressors, root, workspace, block: Vec::new() }
     }
 
     /// Likelihood terms of a class that is stored phase by phase.
@@ -34,7 +34,11 @@ impl<'a> ClassEvaluator<'a> {
 
     /// Likelihood terms of a class that is not stored phase by phase; `phases` has the range of the states of each
     /// phase.
-    pub(crate) fn whole<'b>(&'b mut self, class: ClassRef<'_>, phases: &'b [Range<usize>]) -> InBlock<'b, f64> {
+    pub(crate) fn whole<'b>(
+        &'b mut self,
+        class: ClassRef<'_>,
+        phases: &'b [Range<usize>],
+    ) -> BlockContribution<'b, f64> {
         let p = self.point.mean.len();
         let exact = class.mean.len() - p;
         let several = !class.scatter.is_empty();
@@ -42,10 +46,10 @@ impl<'a> ClassEvaluator<'a> {
         self.block.clear();
         self.block.resize(layout.size(), 0.0);
         layout.put(class, (&mut self.block, 0, 1));
-        self.room.resize(exact, 1 + class.scatter.len() / layout.rows().max(1));
-        self.room.move_mean(class.covariates, self.point, self.regressors);
+        self.workspace.resize(exact, 1 + class.scatter.len() / layout.rows().max(1));
+        self.workspace.move_mean(class.covariates, self.point, self.regressors);
         let evaluate = if class.square_root { ClassWorkspace::evaluate_by_qr } else { ClassWorkspace::evaluate };
-        let det = evaluate(&mut self.room, &self.block, 1.0);
-        InBlock { room: &self.room, det, count: Some(class.count), phases }
+        let det = evaluate(&mut self.workspace, &self.block, 1.0);
+        BlockContribution { workspace: &self.workspace, det, count: Some(class.count), phases }
     }
 }

@@ -98,8 +98,8 @@ impl<T: Lanes> ClassWorkspace<T> {
     #[inline(always)]
     pub(super) fn evaluate(&mut self, block: &[f64], unit: f64) -> (T, T) {
         self.load(block, unit);
-        self.spread(block);
-        self.cover();
+        self.multiply_root(block);
+        self.form_innovation_covariance();
         let det = self.eliminate(None);
         self.weigh();
         det
@@ -109,24 +109,24 @@ impl<T: Lanes> ClassWorkspace<T> {
     #[inline(always)]
     fn load(&mut self, block: &[f64], unit: f64) {
         let (p, exact, height) = (self.p, self.exact, self.height());
-        let (wide, unit) = (height + self.width(), T::splat(unit));
+        let (stride, unit) = (height + self.width(), T::splat(unit));
         self.rows.fill(T::splat(0.0));
         let mut next = block.chunks_exact(T::COUNT);
         for k in 0..p {
-            for row in self.rows.chunks_exact_mut(wide).skip(exact).take(k + 1) {
+            for row in self.rows.chunks_exact_mut(stride).skip(exact).take(k + 1) {
                 if let Some(x) = next.next() {
                     row[height + k] = T::load(x);
                 }
             }
         }
-        for row in self.rows.chunks_exact_mut(wide).take(exact) {
+        for row in self.rows.chunks_exact_mut(stride).take(exact) {
             for (to, x) in row[height..height + p].iter_mut().zip(&mut next) {
                 *to = T::load(x);
             }
         }
         for column in 0..self.columns {
-            let (first, last) = self.rows.split_at_mut(exact * wide);
-            for row in last.chunks_exact_mut(wide).chain(first.chunks_exact_mut(wide)) {
+            let (first, last) = self.rows.split_at_mut(exact * stride);
+            for row in last.chunks_exact_mut(stride).chain(first.chunks_exact_mut(stride)) {
                 let Some(x) = next.next() else { break };
                 let mut residual = T::load(x) * unit;
                 for k in 0..if column == 0 { p } else { 0 } {
@@ -139,7 +139,7 @@ impl<T: Lanes> ClassWorkspace<T> {
 
     /// Computes (RF)': row c is Σ_k F_kc (column k of R).
     #[inline(always)]
-    fn spread(&mut self, block: &[f64]) {
+    fn multiply_root(&mut self, block: &[f64]) {
         let (p, exact, height) = (self.p, self.exact, self.height());
         self.X.fill(T::splat(0.0));
         for (c, row) in self.X.chunks_exact_mut(height.max(1)).enumerate() {
@@ -157,11 +157,11 @@ impl<T: Lanes> ClassWorkspace<T> {
 
     /// Adds S = I + RF(RF)' to `rows`.
     #[inline(always)]
-    fn cover(&mut self) {
+    fn form_innovation_covariance(&mut self) {
         let (p, exact, height) = (self.p, self.exact, self.height());
-        let wide = height + self.width();
+        let stride = height + self.width();
         for i in 0..height {
-            let row = &mut self.rows[i * wide..][i..height];
+            let row = &mut self.rows[i * stride..][i..height];
             row[0] = T::splat(if i < exact { 0.0 } else { 1.0 });
             add_weighed(row, p, (&self.X[i..], height, 0), None);
         }
@@ -172,13 +172,13 @@ impl<T: Lanes> ClassWorkspace<T> {
     #[inline(always)]
     fn eliminate(&mut self, root: Option<&[T]>) -> (T, T) {
         let (exact, height) = (self.exact, self.height());
-        let wide = height + self.width();
+        let stride = height + self.width();
         let (mut mantissa, mut exponent) = (T::splat(1.0), T::splat(0.0));
         for i in 0..height {
-            let (done, row) = self.rows.split_at_mut(i * wide);
-            let row = &mut row[i..wide];
+            let (done, row) = self.rows.split_at_mut(i * stride);
+            let row = &mut row[i..stride];
             if i > 0 {
-                add_weighed(row, i, (&done[i..], wide, 0), Some(&self.minus_inverse));
+                add_weighed(row, i, (&done[i..], stride, 0), Some(&self.minus_inverse));
             }
             if let Some(root) = root {
                 let known = &root[i * height..][i..height];
@@ -201,11 +201,11 @@ impl<T: Lanes> ClassWorkspace<T> {
     #[inline(always)]
     fn weigh(&mut self) {
         let (height, width) = (self.height(), self.width());
-        let wide = height + width;
+        let stride = height + width;
         self.W.fill(T::splat(0.0));
         for a in 0..width {
             let to = &mut self.W[a * width..][..a + 1];
-            add_weighed(to, height, (&self.rows[height..], wide, a), Some(&self.inverse));
+            add_weighed(to, height, (&self.rows[height..], stride, a), Some(&self.inverse));
         }
     }
 
@@ -238,7 +238,7 @@ impl ClassWorkspace<f64> {
     /// As [`Self::evaluate`], without forming S: the rows of (RF)' are folded into I by QR.
     pub(super) fn evaluate_by_qr(&mut self, block: &[f64], unit: f64) -> (f64, f64) {
         self.load(block, unit);
-        self.spread(block);
+        self.multiply_root(block);
         let height = self.height();
         let mut root = vec![0.0; height * height];
         (self.exact..height).for_each(|i| root[i * height + i] = 1.0);

@@ -25,7 +25,7 @@ pub(crate) struct ChainSums {
     /// Sum of the constants of the classes.
     pub(crate) constant: f64,
     /// Classes that need square-root arithmetic, and are not in the sums.
-    pub(crate) refused: Vec<usize>,
+    pub(crate) needs_rotations: Vec<usize>,
 }
 
 impl Kernel for ChainKernel<'_> {
@@ -35,35 +35,35 @@ impl Kernel for ChainKernel<'_> {
     fn run<T: Lanes>(self) -> ChainSums {
         let ChainKernel { classes, point, wanted, .. } = self;
         let mut sums = Accumulator::<T>::new(wanted);
-        let (mut constant, mut refused) = (0.0, Vec::new());
+        let (mut constant, mut needs_rotations) = (0.0, Vec::new());
         let root = Root::of(&point.root);
         for block in self.blocks {
             let covariates = block.covariates::<T>(|member| classes.get(member), wanted.regressors.len());
             let mean = block.means(&covariates, point, wanted.regressors);
-            match block.said::<T>(&mean, &root, wanted.detail()) {
-                Some(said) => {
+            match block.evaluated::<T>(&mean, &root, wanted.detail()) {
+                Some(evaluated) => {
                     for &member in block.members() {
                         constant += classes.get(member).constant;
                     }
-                    sums.add(&InPhases { said: &said, count: block.count() }, &covariates);
+                    sums.add(&ChainContribution { evaluated: &evaluated, count: block.count() }, &covariates);
                 }
-                None => refused.extend_from_slice(block.members()),
+                None => needs_rotations.extend_from_slice(block.members()),
             }
         }
-        ChainSums { totals: sums.totals(), constant, refused }
+        ChainSums { totals: sums.totals(), constant, needs_rotations }
     }
 }
 
 /// Likelihood terms of a block, one class in each lane.
-pub(crate) struct InPhases<'a, T> {
-    pub(crate) said: &'a ChainTerms<T>,
+pub(crate) struct ChainContribution<'a, T> {
+    pub(crate) evaluated: &'a ChainTerms<T>,
     pub(crate) count: T,
 }
 
-impl<T: Lanes> Contribution<T> for InPhases<'_, T> {
+impl<T: Lanes> Contribution<T> for ChainContribution<'_, T> {
     #[inline(always)]
     fn phases(&self) -> usize {
-        self.said.r.len()
+        self.evaluated.r.len()
     }
 
     #[inline(always)]
@@ -73,23 +73,23 @@ impl<T: Lanes> Contribution<T> for InPhases<'_, T> {
 
     #[inline(always)]
     fn det(&self) -> (T, T) {
-        let (mantissa, exponent) = self.said.root_det;
+        let (mantissa, exponent) = self.evaluated.root_det;
         (mantissa * mantissa, exponent + exponent)
     }
 
     #[inline(always)]
     fn quadratic(&self) -> T {
-        self.said.quadratic
+        self.evaluated.quadratic
     }
 
     #[inline(always)]
     fn r(&self, k: usize, a: usize) -> T {
-        self.said.r[k][(a, 0)]
+        self.evaluated.r[k][(a, 0)]
     }
 
     #[inline(always)]
     fn weight(&self, (k, a): (usize, usize), i: usize) -> &[T] {
-        match &self.said.W[pair(k, i)] {
+        match &self.evaluated.W[pair(k, i)] {
             Some(weight) => weight.row(a),
             None => unreachable!("it was asked for"),
         }
@@ -97,7 +97,7 @@ impl<T: Lanes> Contribution<T> for InPhases<'_, T> {
 
     #[inline(always)]
     fn outer(&self, (k, a): (usize, usize), i: usize, to: &mut [T]) {
-        let (x, other) = (self.said.r[k].row(a), &self.said.r[i]);
+        let (x, other) = (self.evaluated.r[k].row(a), &self.evaluated.r[i]);
         for (b, to) in to.iter_mut().enumerate() {
             let y = other.row(b);
             *to = self.count * x[0] * y[0];

@@ -34,7 +34,11 @@ pub(super) const fn entries(p: usize) -> usize {
 
 /// Evaluates a block, and multiplies `det`, mantissa × 2^exponent, by |S|.
 #[inline(always)]
-pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &LaneLaw<P>, det: &mut (T, T)) -> BlockTerms<T, P> {
+pub(super) fn block_terms<T: Lanes, const P: usize>(
+    block: &[f64],
+    law: &LaneLaw<P>,
+    det: &mut (T, T),
+) -> BlockTerms<T, P> {
     let zero = T::splat(0.0);
     let mut R = [[zero; P]; P];
     let block = &block[..entries(P) * T::COUNT];

@@ -7,16 +7,16 @@ use kalfit_algebra::parts::{ColumnWork, by_column_blocks};
 
 /// Number of blocks whose products are added in one go: each sum is then read, written and reduced over its lanes once
 /// for all of them.
-const TOGETHER: usize = 16;
+const BUFFERED_BLOCKS: usize = 16;
 
 /// Number of sums from which on several threads share the work.
-const MANY: usize = 1 << 20;
+const PARALLEL_SUMS: usize = 1 << 20;
 /// Number of rows of sums that one thread takes at a time.
-const STRIP: usize = 64;
+const ROWS_PER_TASK: usize = 64;
 
 /// Σ a b', a with `rows` and b with `columns` numbers; vectors of several blocks are buffered before they are added.
 #[derive(Debug, Clone)]
-pub(super) struct Gather<T> {
+pub(super) struct ProductSums<T> {
     rows: usize,
     columns: usize,
     /// The vectors a, block after block.
@@ -27,19 +27,19 @@ pub(super) struct Gather<T> {
     sum: Vec<f64>,
 }
 
-impl<T: Lanes> Gather<T> {
+impl<T: Lanes> ProductSums<T> {
     /// Empty sums; if they are not `wanted`, they stay without rows and cost nothing.
-    pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> Gather<T> {
+    pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> ProductSums<T> {
         let rows = if wanted { rows } else { 0 };
-        let room = |size: usize| vec![T::splat(0.0); size * if wanted { TOGETHER } else { 0 }];
-        Gather { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
+        let room = |size: usize| vec![T::splat(0.0); size * if wanted { BUFFERED_BLOCKS } else { 0 }];
+        ProductSums { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
     }
 
     /// Buffers for the next a and b, both to be written completely.
     #[inline(always)]
     pub(super) fn next(&mut self) -> (&mut [T], &mut [T]) {
-        if self.filled == TOGETHER {
-            self.settle();
+        if self.filled == BUFFERED_BLOCKS {
+            self.flush();
         }
         let at = self.filled;
         self.filled += 1;
@@ -48,11 +48,11 @@ impl<T: Lanes> Gather<T> {
     }
 
     #[inline(always)]
-    fn settle(&mut self) {
-        let Gather { rows, columns, left, right, filled, sum } = self;
+    fn flush(&mut self) {
+        let ProductSums { rows, columns, left, right, filled, sum } = self;
         let strip = |(at, sum): (usize, &mut [f64])| {
             T::apart(RowSums {
-                left: &left[at * STRIP..],
+                left: &left[at * ROWS_PER_TASK..],
                 rows: *rows,
                 blocks: *filled,
                 right,
@@ -60,10 +60,10 @@ impl<T: Lanes> Gather<T> {
                 sum,
             });
         };
-        if sum.len() < MANY {
+        if sum.len() < PARALLEL_SUMS {
             strip((0, &mut sum[..]));
         } else {
-            sum.par_chunks_mut(STRIP * *columns).enumerate().for_each(strip);
+            sum.par_chunks_mut(ROWS_PER_TASK * *columns).enumerate().for_each(strip);
         }
         *filled = 0;
     }
@@ -71,7 +71,7 @@ impl<T: Lanes> Gather<T> {
     /// The sums, by rows.
     #[inline(always)]
     pub(super) fn total(mut self) -> Vec<f64> {
-        self.settle();
+        self.flush();
         self.sum
     }
 }
@@ -88,7 +88,7 @@ struct RowSums<'a, T> {
 }
 
 /// Most rows of sums that are updated at once.
-const TALLEST: usize = 4;
+const MAX_ROWS: usize = 4;
 
 impl<T: Lanes> Part for RowSums<'_, T> {
     type Output = ();
@@ -99,11 +99,11 @@ impl<T: Lanes> Part for RowSums<'_, T> {
         let mut row = 0;
         while row < count {
             let left = count - row;
-            match left.div_ceil(left.div_ceil(TALLEST)) {
-                1 => row += some_rows::<T, 1>(&mut self, row),
-                2 => row += some_rows::<T, 2>(&mut self, row),
-                3 => row += some_rows::<T, 3>(&mut self, row),
-                _ => row += some_rows::<T, TALLEST>(&mut self, row),
+            match left.div_ceil(left.div_ceil(MAX_ROWS)) {
+                1 => row += add_rows::<T, 1>(&mut self, row),
+                2 => row += add_rows::<T, 2>(&mut self, row),
+                3 => row += add_rows::<T, 3>(&mut self, row),
+                _ => row += add_rows::<T, MAX_ROWS>(&mut self, row),
             }
         }
     }
@@ -111,7 +111,7 @@ impl<T: Lanes> Part for RowSums<'_, T> {
 
 /// Adds to M rows of the sums from `row` on; returns M.
 #[inline(always)]
-fn some_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
+fn add_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
     let RowSums { left, rows, blocks, right, columns, ref mut sum } = *all;
     let sum = &mut sum[row * columns..][..M * columns];
     by_column_blocks(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });

@@ -24,7 +24,7 @@ use crate::order::{SumsWanted, max_tasks};
 use crate::point::Point;
 pub(crate) use accumulator::{Accumulator, ClassSums, Contribution};
 pub(crate) use alone::ClassEvaluator;
-pub(crate) use chains::{ChainKernel, ChainSums, InPhases};
+pub(crate) use chains::{ChainContribution, ChainKernel, ChainSums};
 pub(crate) use whole::flops_of_a_test;
 
 /// Classes of p states that are not in phases, in blocks with one class in each lane: either all are of a single test,
@@ -43,17 +43,17 @@ pub(crate) struct ClassBatches {
 }
 
 /// Fewest blocks that one thread fills at a time.
-const FILLED: usize = 16;
+const MIN_FILLED_BLOCKS: usize = 16;
 
 /// Fewest blocks that one task sums, for many states. The size of tasks depends on nothing but the blocks, so that sums
 /// have the same bits for any number of threads.
-const FEWEST: usize = 16;
+const MIN_BLOCKS: usize = 16;
 /// Fewest blocks that one task sums, for one state: more, so that the task takes no less time than one for many states.
-const FEWEST_OF_ONE: usize = 512;
+const MIN_BLOCKS_ONE_STATE: usize = 512;
 /// Most blocks that one task sums, as a multiple of the minimum.
-const MOST: usize = 32;
+const MAX_BLOCKS_FACTOR: usize = 32;
 /// Fewest tasks, where there are many blocks.
-const TASKS: usize = 64;
+const MIN_TASKS: usize = 64;
 
 impl ClassBatches {
     /// Fills blocks with `count` classes of p states with `covariates` covariates, of several tests each or of one,
@@ -69,7 +69,7 @@ impl ClassBatches {
         let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
         let mut constants = vec![0.0; count];
         let blocks = numbers.par_chunks_mut(size.max(1)).zip(constants.par_chunks_mut(lanes)).enumerate();
-        blocks.with_min_len(FILLED).for_each_init(Class::default, |room, (at, (block, constants))| {
+        blocks.with_min_len(MIN_FILLED_BLOCKS).for_each_init(Class::default, |room, (at, (block, constants))| {
             for (lane, constant) in constants.iter_mut().enumerate() {
                 class(at * lanes + lane, room);
                 layout.put(room.view(), (block, lane, lanes));
@@ -112,17 +112,19 @@ impl ClassBatches {
         let (root, layout, isa) = (Root::of(&point.root), self.layout, self.isa);
         let root = root.lower();
         let size = layout.size() * isa.lanes();
-        let fewest = fewest(layout.p);
+        let min_blocks = min_blocks(layout.p);
         let blocks = self.numbers.len() / size;
-        let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(max_tasks(layout.p)));
+        let each = (blocks / MIN_TASKS)
+            .clamp(min_blocks, MAX_BLOCKS_FACTOR * min_blocks)
+            .max(blocks.div_ceil(max_tasks(layout.p)));
         let pass = |blocks: &[f64]| isa.run(whole::BlockPass { blocks, layout, unit: self.unit, point, root, wanted });
         self.numbers.par_chunks(each * size).map(pass).collect()
     }
 }
 
 /// Fewest blocks of p states that one task sums.
-fn fewest(p: usize) -> usize {
-    FEWEST.max(FEWEST_OF_ONE * 8 / (p + 1).pow(3))
+fn min_blocks(p: usize) -> usize {
+    MIN_BLOCKS.max(MIN_BLOCKS_ONE_STATE * 8 / (p + 1).pow(3))
 }
 
 #[cfg(test)]

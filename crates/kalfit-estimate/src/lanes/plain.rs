@@ -4,8 +4,8 @@
 use kalfit_lanes::Lanes;
 
 use crate::lanes::accumulator::ClassSums;
-use crate::lanes::dense::{BlockTerms, LaneLaw, entries, told};
-use crate::lanes::gather::Gather;
+use crate::lanes::dense::{BlockTerms, LaneLaw, block_terms, entries};
+use crate::lanes::gather::ProductSums;
 use crate::lanes::rows::log_det;
 use crate::lanes::whole::BlockPass;
 use crate::order::Order;
@@ -24,10 +24,10 @@ impl BlockPass<'_> {
         let mut products = SecondOrderSums::<T>::new(P, order);
         let mut sums = FirstOrderSums::<T, P>::new();
         for block in self.blocks.chunks_exact(entries(P) * T::COUNT) {
-            let told = told::<T, P>(block, &law, &mut sums.det);
-            sums.add(&told);
+            let block_terms = block_terms::<T, P>(block, &law, &mut sums.det);
+            sums.add(&block_terms);
             if order >= Order::Second {
-                products.take(&told);
+                products.take(&block_terms);
             }
         }
         products.into(sums.totals())
@@ -38,8 +38,8 @@ impl BlockPass<'_> {
     fn first<T: Lanes, const P: usize>(self, law: &LaneLaw<P>) -> ClassSums {
         let mut sums = FirstOrderSums::<T, P>::new();
         for block in self.blocks.chunks_exact(entries(P) * T::COUNT) {
-            let told = told::<T, P>(block, law, &mut sums.det);
-            sums.add(&told);
+            let block_terms = block_terms::<T, P>(block, law, &mut sums.det);
+            sums.add(&block_terms);
         }
         sums.totals()
     }
@@ -60,25 +60,25 @@ impl BlockPass<'_> {
 struct SecondOrderSums<T> {
     p: usize,
     /// Σ W ⊗ [r r' - ½W, r].
-    observed: Gather<T>,
+    observed: ProductSums<T>,
     /// Σ W ⊗ W, if requested.
-    expected: Gather<T>,
+    expected: ProductSums<T>,
     is_expected: bool,
 }
 
 impl<T: Lanes> SecondOrderSums<T> {
     fn new(p: usize, order: Order) -> Self {
         let (s, is_expected) = (pairs(p), order >= Order::Expected);
-        let observed = Gather::new((s, s + p), order >= Order::Second);
-        SecondOrderSums { p, observed, expected: Gather::new((s, s), is_expected), is_expected }
+        let observed = ProductSums::new((s, s + p), order >= Order::Second);
+        SecondOrderSums { p, observed, expected: ProductSums::new((s, s), is_expected), is_expected }
     }
 
     /// Adds the products of W with r r' - ½W and r of a block.
     #[inline(always)]
-    fn take<const P: usize>(&mut self, told: &BlockTerms<T, P>) {
+    fn take<const P: usize>(&mut self, block_terms: &BlockTerms<T, P>) {
         let (weights, right) = self.observed.next();
         let (inner, r) = right.split_at_mut(right.len() - P);
-        told.write(weights, inner, r);
+        block_terms.write(weights, inner, r);
         if self.is_expected {
             let (left, right) = self.expected.next();
             left.copy_from_slice(weights);
@@ -141,13 +141,13 @@ impl<T: Lanes, const P: usize> FirstOrderSums<T, P> {
     }
 
     #[inline(always)]
-    fn add(&mut self, told: &BlockTerms<T, P>) {
-        self.quadratic = self.quadratic + told.quadratic;
+    fn add(&mut self, block_terms: &BlockTerms<T, P>) {
+        self.quadratic = self.quadratic + block_terms.quadratic;
         for a in 0..P {
-            self.r[a] = self.r[a] + told.r[a];
+            self.r[a] = self.r[a] + block_terms.r[a];
             for b in 0..=a {
-                self.W[a][b] = self.W[a][b] + told.W[a][b];
-                self.outer[a][b] = told.r[a].fma(told.r[b], self.outer[a][b]);
+                self.W[a][b] = self.W[a][b] + block_terms.W[a][b];
+                self.outer[a][b] = block_terms.r[a].fma(block_terms.r[b], self.outer[a][b]);
             }
         }
     }

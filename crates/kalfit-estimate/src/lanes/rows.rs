@@ -3,7 +3,7 @@
 use kalfit_lanes::Lanes;
 
 /// Number of rows that are added at once: each number of y is then read and written once for four products.
-const TOGETHER: usize = 4;
+const ROWS_AT_ONCE: usize = 4;
 
 /// y ← y + a x.
 #[inline(always)]
@@ -15,7 +15,7 @@ pub(super) fn add_one<T: Lanes>(y: &mut [T], a: T, x: &[T]) {
 
 /// y ← y + a_0 x_0 + a_1 x_1 + a_2 x_2 + a_3 x_3.
 #[inline(always)]
-fn add_four<T: Lanes>(y: &mut [T], a: [T; TOGETHER], x: [&[T]; TOGETHER]) {
+fn add_four<T: Lanes>(y: &mut [T], a: [T; ROWS_AT_ONCE], x: [&[T]; ROWS_AT_ONCE]) {
     let x = [&x[0][..y.len()], &x[1][..y.len()], &x[2][..y.len()], &x[3][..y.len()]];
     for at in 0..y.len() {
         let first = a[1].fma(x[1][at], a[0].fma(x[0][at], y[at]));
@@ -34,7 +34,7 @@ pub(super) fn add_weighed<T: Lanes>(
 ) {
     let size = y.len();
     let mut k = 0;
-    while k + TOGETHER <= count {
+    while k + ROWS_AT_ONCE <= count {
         let rows = &rows[k * width..];
         let x = [&rows[..size], &rows[width..][..size], &rows[2 * width..][..size], &rows[3 * width..][..size]];
         let mut a = [x[0][l], x[1][l], x[2][l], x[3][l]];
@@ -42,7 +42,7 @@ pub(super) fn add_weighed<T: Lanes>(
             a = [a[0] * weights[k], a[1] * weights[k + 1], a[2] * weights[k + 2], a[3] * weights[k + 3]];
         }
         add_four(y, a, x);
-        k += TOGETHER;
+        k += ROWS_AT_ONCE;
     }
     while k < count {
         let x = &rows[k * width..][..size];

@@ -121,7 +121,7 @@ fn sums_over_single_tests_are_those_by_hand() {
             let elements = Elements::single(p);
             let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Expected, flat: None };
             // also blocks that are not full, and more than one task
-            for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
+            for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, min_blocks(p) * isa.lanes() + 3] {
                 let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
                 assert_sums(&classes, (*isa, false), &point(p), wanted);
             }
@@ -162,7 +162,7 @@ fn sums_over_several_tests_with_regressions_and_the_restricted_likelihood_are_th
                 let flat = FlatMean { jacobian: &jacobian, covariance: known };
                 let flat = (q > 0).then_some(&flat);
                 let wanted = SumsWanted { elements: &elements, regressors: &regressors, order: Order::Expected, flat };
-                for tests in [1, 2 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
+                for tests in [1, 2 * isa.lanes() + 1, min_blocks(p) * isa.lanes() + 3] {
                     let classes: Vec<Class> =
                         (0..tests).map(|j| any_class(p, j, (regressors.len(), several))).collect();
                     assert_sums(&classes, (*isa, several), &point, wanted);

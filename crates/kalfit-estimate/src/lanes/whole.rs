@@ -56,7 +56,7 @@ impl BlockPass<'_> {
     #[inline(always)]
     fn any<T: Lanes>(self) -> ClassSums {
         let columns = if self.layout.several { 1 + self.layout.p } else { 1 };
-        let mut room = ClassWorkspace::<T>::new(&self.point.mean, self.root, columns);
+        let mut workspace = ClassWorkspace::<T>::new(&self.point.mean, self.root, columns);
         let mut sums = Accumulator::<T>::new(self.wanted);
         let mut covariates = vec![T::splat(0.0); self.layout.covariates];
         let count_at = self.layout.count() * T::COUNT;
@@ -65,10 +65,13 @@ impl BlockPass<'_> {
             for (to, x) in covariates.iter_mut().zip(own) {
                 *to = T::load(x);
             }
-            room.move_mean(&covariates, self.point, self.wanted.regressors);
-            let det = room.evaluate(block, self.unit);
+            workspace.move_mean(&covariates, self.point, self.wanted.regressors);
+            let det = workspace.evaluate(block, self.unit);
             let count = if self.layout.several { Some(T::load(&block[count_at..])) } else { None };
-            sums.add(&InBlock { room: &room, det, count, phases: self.wanted.elements.blocks() }, &covariates);
+            sums.add(
+                &BlockContribution { workspace: &workspace, det, count, phases: self.wanted.elements.blocks() },
+                &covariates,
+            );
         }
         sums.totals()
     }
@@ -80,23 +83,23 @@ pub(crate) fn flops_of_a_test(p: usize) -> Flops {
     let elements = Elements::single(p);
     let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Mean, flat: None };
     let (mut sums, block) = (Accumulator::new(wanted), vec![0.0; pairs(p) + p]);
-    let mut room = ClassWorkspace::<Counted>::new(&vec![0.0; p], &DMatrix::identity(p, p), 1);
+    let mut workspace = ClassWorkspace::<Counted>::new(&vec![0.0; p], &DMatrix::identity(p, p), 1);
     Counted::count(|| {
-        let det = room.evaluate(&block, 1.0);
-        sums.add(&InBlock { room: &room, det, count: None, phases: elements.blocks() }, &[]);
+        let det = workspace.evaluate(&block, 1.0);
+        sums.add(&BlockContribution { workspace: &workspace, det, count: None, phases: elements.blocks() }, &[]);
     })
 }
 
 /// Likelihood terms of a block, one class in each lane.
-pub(crate) struct InBlock<'a, T> {
-    pub(super) room: &'a ClassWorkspace<T>,
+pub(crate) struct BlockContribution<'a, T> {
+    pub(super) workspace: &'a ClassWorkspace<T>,
     pub(super) det: (T, T),
     pub(super) count: Option<T>,
     /// Range of the states of each phase.
     pub(super) phases: &'a [Range<usize>],
 }
 
-impl<T: Lanes> Contribution<T> for InBlock<'_, T> {
+impl<T: Lanes> Contribution<T> for BlockContribution<'_, T> {
     #[inline(always)]
     fn phases(&self) -> usize {
         self.phases.len()
@@ -114,28 +117,28 @@ impl<T: Lanes> Contribution<T> for InBlock<'_, T> {
 
     #[inline(always)]
     fn quadratic(&self) -> T {
-        let mut sum = self.count.unwrap_or(T::splat(1.0)) * self.room.quadratic(0);
-        for column in 1..self.room.columns() {
-            sum = sum + self.room.quadratic(column);
+        let mut sum = self.count.unwrap_or(T::splat(1.0)) * self.workspace.quadratic(0);
+        for column in 1..self.workspace.columns() {
+            sum = sum + self.workspace.quadratic(column);
         }
         sum
     }
 
     #[inline(always)]
     fn r(&self, k: usize, a: usize) -> T {
-        self.room.r_of(0)[self.phases[k].start + a]
+        self.workspace.r_of(0)[self.phases[k].start + a]
     }
 
     #[inline(always)]
     fn weight(&self, (k, a): (usize, usize), i: usize) -> &[T] {
-        &self.room.row(self.phases[k].start + a)[self.phases[i].start..]
+        &self.workspace.row(self.phases[k].start + a)[self.phases[i].start..]
     }
 
     #[inline(always)]
     fn outer(&self, (k, a): (usize, usize), i: usize, to: &mut [T]) {
         to.fill(T::splat(0.0));
-        for column in 0..self.room.columns() {
-            let r = self.room.r_of(column);
+        for column in 0..self.workspace.columns() {
+            let r = self.workspace.r_of(column);
             let own = r[self.phases[k].start + a];
             let weight = if column == 0 { self.count.unwrap_or(T::splat(1.0)) * own } else { own };
             add_one(to, weight, &r[self.phases[i].start..]);

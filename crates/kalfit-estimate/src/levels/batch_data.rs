@@ -24,7 +24,7 @@ pub(super) struct BatchData<'a, T> {
 
 impl<'a> BatchData<'a, f64> {
     /// Some units of one design, one in each column.
-    pub(super) fn alike(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
+    pub(super) fn equal_designs(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
         let mut leaves: Vec<Leaf> = Vec::new();
         let mut last = None;
         let tests = design.tests.iter().map(|member| {
@@ -44,7 +44,7 @@ impl<'a> BatchData<'a, f64> {
 
 impl<T> BatchData<'_, T> {
     /// Whether `group` is `other`, or is contained in it.
-    pub(super) fn stands_in(&self, mut group: usize, other: usize) -> bool {
+    pub(super) fn is_within(&self, mut group: usize, other: usize) -> bool {
         while group != other && self.groups[group].parent != group {
             group = self.groups[group].parent;
         }
@@ -68,7 +68,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
                 }
             }
             tests.push(UnitTest { leaf: test, group });
-            leaves.push(side_by_side(&found, p));
+            leaves.push(leaf_in_lanes(&found, p));
             let mut own = Rows::zeros(p, 1);
             for i in 0..p {
                 own[(i, 0)] = in_lanes(
@@ -87,7 +87,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
 type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
 
 #[inline(always)]
-fn side_by_side<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
+fn leaf_in_lanes<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
     let regressors = found.iter().flatten().next().map_or(0, |(leaf, ..)| leaf.covariates.len());
     let mut leaf = Leaf { factor: Rows::zeros(p, p), covariates: Vec::with_capacity(regressors) };
     for i in 0..p {

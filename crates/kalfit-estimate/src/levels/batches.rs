@@ -91,16 +91,16 @@ impl UnitShape {
     }
 
     /// Enlarges the shape so that another shape of the same level fits into it.
-    fn widen(&mut self, other: &UnitShape) {
+    fn enlarge(&mut self, other: &UnitShape) {
         self.tests = self.tests.max(other.tests);
-        self.inner.iter_mut().zip(&other.inner).for_each(|(own, other)| own.widen(other));
+        self.inner.iter_mut().zip(&other.inner).for_each(|(own, other)| own.enlarge(other));
         let more = other.inner.get(self.inner.len()..).unwrap_or_default();
         self.inner.extend_from_slice(more);
     }
 
     /// Appends the groups, inner ones first, and the group of each test; returns the index of this group.
-    fn lay(&self, groups: &mut Vec<UnitGroup>, tests: &mut Vec<usize>) -> usize {
-        let inner: Vec<usize> = self.inner.iter().map(|shape| shape.lay(groups, tests)).collect();
+    fn append_layout(&self, groups: &mut Vec<UnitGroup>, tests: &mut Vec<usize>) -> usize {
+        let inner: Vec<usize> = self.inner.iter().map(|shape| shape.append_layout(groups, tests)).collect();
         let own = groups.len();
         groups.push(UnitGroup { level: self.level, parent: own });
         inner.into_iter().for_each(|child| groups[child].parent = own);
@@ -109,24 +109,24 @@ impl UnitShape {
     }
 
     /// Appends for each test of this shape the test of a group of a design, or `None`, in the order of
-    /// [`UnitShape::lay`].
-    fn place(&self, contents: &[Contents], group: Option<usize>, places: &mut Vec<Option<usize>>) {
+    /// [`UnitShape::append_layout`].
+    fn append_tests(&self, contents: &[Contents], group: Option<usize>, test_numbers: &mut Vec<Option<usize>>) {
         let inner = |at: usize| contents[group?].inner.get(at).copied();
-        self.inner.iter().enumerate().for_each(|(at, shape)| shape.place(contents, inner(at), places));
-        places.extend((0..self.tests).map(|at| contents[group?].tests.get(at).copied()));
+        self.inner.iter().enumerate().for_each(|(at, shape)| shape.append_tests(contents, inner(at), test_numbers));
+        test_numbers.extend((0..self.tests).map(|at| contents[group?].tests.get(at).copied()));
     }
 }
 
 impl UnitBatch {
     fn of(units: &[(UnitShape, usize, usize)], designs: &[UnitDesign]) -> UnitBatch {
         let mut shape = units[0].0.clone();
-        units.iter().for_each(|(other, ..)| shape.widen(other));
+        units.iter().for_each(|(other, ..)| shape.enlarge(other));
         let (mut groups, mut tests) = (Vec::new(), Vec::new());
-        shape.lay(&mut groups, &mut tests);
+        shape.append_layout(&mut groups, &mut tests);
         let lane = |&(_, number, unit): &(UnitShape, usize, usize)| {
-            let (design, mut places) = (&designs[number], Vec::with_capacity(tests.len()));
-            shape.place(&design.contents(), Some(design.groups.len() - 1), &mut places);
-            UnitInLane { design: number, unit, tests: places }
+            let (design, mut test_numbers) = (&designs[number], Vec::with_capacity(tests.len()));
+            shape.append_tests(&design.contents(), Some(design.groups.len() - 1), &mut test_numbers);
+            UnitInLane { design: number, unit, tests: test_numbers }
         };
         UnitBatch { lanes: units.iter().map(lane).collect(), groups, tests }
     }

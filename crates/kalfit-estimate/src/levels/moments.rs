@@ -27,14 +27,14 @@ impl Units {
     pub(crate) fn variances(&self, (excess, squares): (&DVector<f64>, &DVector<f64>)) -> Vec<Vec<Option<f64>>> {
         let (levels, p) = (self.levels(), self.states);
         let of_level = |sums: &DVector<f64>, i: usize| (0..levels).map(|l| sums[l * p + i]).collect::<Vec<f64>>();
-        let of_state = |i: usize| solved(&of_level(excess, i), &of_level(squares, i));
+        let of_state = |i: usize| variances_of_state(&of_level(excess, i), &of_level(squares, i));
         let by_state: Vec<Vec<Option<f64>>> = (0..p).map(of_state).collect();
         (0..levels).map(|level| by_state.iter().map(|found| found[level]).collect()).collect()
     }
 }
 
 /// Variances of one state at all levels, from the outermost on, by differences of the equations of neighbouring levels.
-fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
+fn variances_of_state(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
     // e_k = Σ_l v_l N_min(k,l), so e_k - e_(k-1) = (N_k - N_(k-1)) Σ_(l≥k) v_l
     let mut above = 0.0;
     let mut found: Vec<Option<f64>> = (0..excess.len())
@@ -44,9 +44,9 @@ fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
                 0 => (excess[0], squares[0]),
                 _ => (excess[k] - excess[k - 1], squares[k] - squares[k - 1]),
             };
-            let together = (n > 0.0).then(|| (e / n).max(above))?;
-            let own = together - above;
-            above = together;
+            let total = (n > 0.0).then(|| (e / n).max(above))?;
+            let own = total - above;
+            above = total;
             Some(own)
         })
         .collect();

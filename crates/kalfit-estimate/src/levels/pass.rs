@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::levels::batch_data::BatchData;
 use crate::levels::batches::UnitBatch;
 use crate::levels::design::UnitDesign;
-use crate::levels::totals::{UnitSums, Wish};
+use crate::levels::totals::{SumSelection, UnitSums};
 use crate::levels::units::Units;
 use crate::levels::walk::LevelLaws;
 use crate::order::Order;
@@ -19,46 +19,47 @@ use crate::sums::{GroupDerivatives, Sums};
 use kalfit_algebra::rows::Rows;
 
 /// Most units of one design that are evaluated at once.
-const TOGETHER: usize = 64;
+const MAX_COLUMNS: usize = 64;
 /// Most tasks of a pass; fixed, so that sums have the same bits for any number of threads.
-const TASKS: usize = 64;
+const MAX_TASKS: usize = 64;
 
 /// ℓ and its derivatives at a point. The mean is the sum of the means of all levels, so derivatives by each of them are
 /// equal.
 pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums {
-    let flat = wanted.flat.map(|flat| (folded(flat, units.states, units.levels()), flat.covariance));
-    let wish = Wish {
+    let flat = wanted.flat.map(|flat| (summed_levels(flat, units.states, units.levels()), flat.covariance));
+    let selection = SumSelection {
         flat: flat.as_ref().map(|(jacobian, covariance)| (jacobian, *covariance)),
-        ..Wish::of(units, wanted, wanted.order)
+        ..SumSelection::of(units, wanted, wanted.order)
     };
-    let pieces = pieces(units);
-    let of_part = |pieces: &[UnitWork<'_>]| {
-        let shared = pieces.iter().filter_map(UnitWork::columns);
-        let columns = in_columns(units, (point, wanted), shared, wish);
-        let batches = pieces.iter().filter_map(UnitWork::batch).collect();
-        columns.and(Isa::best().run(UnitKernel { units, point, wanted, wish, batches }))
+    let work_items = work_items(units);
+    let of_part = |work_items: &[UnitWork<'_>]| {
+        let shared = work_items.iter().filter_map(UnitWork::columns);
+        let columns = in_columns(units, (point, wanted), shared, selection);
+        let batches = work_items.iter().filter_map(UnitWork::batch).collect();
+        columns.and(Isa::best().run(UnitKernel { units, point, wanted, selection, batches }))
     };
-    let parts: Vec<UnitSums> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
-    sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(wish), UnitSums::and), wanted)
+    let parts: Vec<UnitSums> =
+        work_items.par_chunks(work_items.len().div_ceil(MAX_TASKS).max(1)).map(of_part).collect();
+    sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(selection), UnitSums::and), wanted)
 }
 
 /// Calls `of` for each unit with the numbers of its reductions and its sums of first order, without the constants of
 /// its tests.
 pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
-    let wish = Wish::of(units, wanted, Order::First);
+    let selection = SumSelection::of(units, wanted, Order::First);
     for design in units.designs.iter() {
         for (number, unit) in design.units.iter().enumerate() {
             let alone = std::iter::once((design, number..number + 1));
-            let totals = in_columns(units, (point, wanted), alone, wish);
+            let totals = in_columns(units, (point, wanted), alone, selection);
             of(&unit.tests, &sums((units, 0.0), totals, wanted));
         }
     }
 }
 
-impl Wish<'_> {
+impl SumSelection<'_> {
     fn of(units: &Units, wanted: SumsWanted<'_>, order: Order) -> Self {
         let (states, levels) = (units.states, units.levels());
-        Wish { order, states, levels, coordinates: states + wanted.regressors.len(), flat: None }
+        SumSelection { order, states, levels, coordinates: states + wanted.regressors.len(), flat: None }
     }
 }
 
@@ -85,10 +86,12 @@ impl<'a> UnitWork<'a> {
     }
 }
 
-fn pieces<'a>(units: &'a Units) -> Vec<UnitWork<'a>> {
+fn work_items<'a>(units: &'a Units) -> Vec<UnitWork<'a>> {
     let of = |design: &'a UnitDesign| {
         let count = design.units.len();
-        (0..count).step_by(TOGETHER).map(move |from| UnitWork::Columns(design, from..(from + TOGETHER).min(count)))
+        (0..count)
+            .step_by(MAX_COLUMNS)
+            .map(move |from| UnitWork::Columns(design, from..(from + MAX_COLUMNS).min(count)))
     };
     let shared = units.designs.iter().filter(|design| design.is_shared()).flat_map(of);
     shared.chain(units.batches.iter().map(UnitWork::Batch)).collect()
@@ -98,12 +101,12 @@ fn pieces<'a>(units: &'a Units) -> Vec<UnitWork<'a>> {
 fn in_columns<'a>(
     units: &Units,
     (point, wanted): (&Point, SumsWanted<'_>),
-    pieces: impl Iterator<Item = (&'a UnitDesign, Range<usize>)>,
-    wish: Wish<'_>,
+    work_items: impl Iterator<Item = (&'a UnitDesign, Range<usize>)>,
+    selection: SumSelection<'_>,
 ) -> UnitSums {
     let at = LevelLaws::new(units, point, wanted.regressors);
-    let mut totals = UnitSums::zero(wish);
-    pieces.for_each(|(design, some)| totals.take(&at, &BatchData::alike(units, design, some), wish));
+    let mut totals = UnitSums::zero(selection);
+    work_items.for_each(|(design, some)| totals.take(&at, &BatchData::equal_designs(units, design, some), selection));
     totals
 }
 
@@ -112,7 +115,7 @@ struct UnitKernel<'a> {
     units: &'a Units,
     point: &'a Point,
     wanted: SumsWanted<'a>,
-    wish: Wish<'a>,
+    selection: SumSelection<'a>,
     batches: Vec<&'a UnitBatch>,
 }
 
@@ -122,16 +125,16 @@ impl Kernel for UnitKernel<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) -> UnitSums {
         let at = LevelLaws::<T>::new(self.units, self.point, self.wanted.regressors);
-        let mut totals = UnitSums::<T>::zero(self.wish);
+        let mut totals = UnitSums::<T>::zero(self.selection);
         for batch in self.batches {
-            totals.take(&at, &BatchData::of(self.units, batch), self.wish);
+            totals.take(&at, &BatchData::of(self.units, batch), self.selection);
         }
         totals.of_all_lanes()
     }
 }
 
 /// d(μ, coefficients) / d(free mean coordinates), with μ the sum of the means of all levels.
-fn folded(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
+fn summed_levels(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
     let all = flat.jacobian;
     DMatrix::from_fn(all.nrows() - p * (levels - 1), all.ncols(), |row, c| match row.checked_sub(p) {
         None => (0..levels).map(|l| all[(l * p + row, c)]).sum(),

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::levels::batch_data::BatchData;
 use crate::levels::design::{UnitDesign, UnitMembers};
 use crate::levels::units::Units;
-use crate::levels::walk::{GroupMean, LevelLaws, Walked};
+use crate::levels::walk::{GroupMean, LevelLaws, PassResults};
 use crate::point::{Point, Regressors};
 use kalfit_algebra::rows::Rows;
 
@@ -71,11 +71,11 @@ pub fn posteriors(
         }
     };
     let at = LevelLaws::new(units, point, regressors);
-    let above = Above::new(&at);
+    let above = UpperRoots::new(&at);
     let of_design = |design: &UnitDesign| -> Vec<MemberId> {
-        let bundle = BatchData::alike(units, design, 0..design.units.len());
-        let walked = at.walked(&bundle, coordinates);
-        let all = (design.units.as_slice(), &bundle, &walked);
+        let batch = BatchData::equal_designs(units, design, 0..design.units.len());
+        let results = at.results(&batch, coordinates);
+        let all = (design.units.as_slice(), &batch, &results);
         let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, all, t));
         tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &above), all, (g, constants)))).collect()
     };
@@ -96,22 +96,22 @@ pub fn posteriors(
 }
 
 /// Units of one design: their members, data and results.
-type EqualUnits<'a> = (&'a [UnitMembers], &'a BatchData<'a, f64>, &'a Walked<f64>);
+type EqualUnits<'a> = (&'a [UnitMembers], &'a BatchData<'a, f64>, &'a PassResults<f64>);
 
-fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
-    let (member, down) = (bundle.tests[t], &walked.tests[t]);
-    let weight = &walked.leaves[member.leaf].W;
-    let mean = GroupMean::of((weight, &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
-    let leaf = &bundle.leaves[member.leaf];
+fn of_test(at: &LevelLaws<'_>, (units, batch, results): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
+    let (member, down) = (batch.tests[t], &results.tests[t]);
+    let weight = &results.leaves[member.leaf].W;
+    let mean = GroupMean::of((weight, &down.r), &at.sigmas[0], Some(&results.means[member.group]));
+    let leaf = &batch.leaves[member.leaf];
     let centre = at.mean_of(leaf);
     let p = centre.len();
     // a unit step of a mean coordinate moves the prior mean of ξ by its effect, and lowers d - Rμ by R times the effect
     let moved: Vec<f64> = (0..p)
-        .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
+        .flat_map(|i| (0..results.before).map(move |c| (i, c)))
         .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
         .collect();
     let one = |(unit, numbers): (usize, &UnitMembers)| {
-        let own = |i: usize| centre[i] + mean.mean[(i, walked.before + unit)];
+        let own = |i: usize| centre[i] + mean.mean[(i, results.before + unit)];
         let covariance = mean.covariance.as_slice().to_vec();
         MemberId::Test(
             numbers.tests[t],
@@ -122,36 +122,36 @@ fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize
 }
 
 /// For each level a root F' of the sum of the Σ of that level and the levels above.
-struct Above(Vec<Rows>);
+struct UpperRoots(Vec<Rows>);
 
-impl Above {
-    fn new(at: &LevelLaws<'_>) -> Above {
+impl UpperRoots {
+    fn new(at: &LevelLaws<'_>) -> UpperRoots {
         let of = |level: usize| {
             let mut root = Rows::zeros(0, at.mean.len());
             at.roots[level..].iter().for_each(|one| root.append(one));
             root
         };
-        Above((0..at.roots.len()).map(of).collect())
+        UpperRoots((0..at.roots.len()).map(of).collect())
     }
 }
 
 fn of_group(
-    (at, above): (&LevelLaws<'_>, &Above),
-    (units, bundle, walked): EqualUnits<'_>,
+    (at, above): (&LevelLaws<'_>, &UpperRoots),
+    (units, batch, results): EqualUnits<'_>,
     (g, constants): (usize, &[f64]),
 ) -> Vec<MemberId> {
-    let (node, mean, up) = (bundle.groups[g], &walked.means[g], &walked.up[g]);
+    let (node, mean, up) = (batch.groups[g], &results.means[g], &results.up[g]);
     let p = at.mean.len();
     let rank = up.rank();
-    let (squares, log_det) = up.apart(&above.0[node.level]);
-    let within = walked.within(bundle, g);
-    let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
+    let (squares, log_det) = up.without_unit(&above.0[node.level]);
+    let within = results.within(batch, g);
+    let members: Vec<usize> = (0..batch.tests.len()).filter(|&t| batch.is_within(batch.tests[t].group, g)).collect();
     // a unit step of an element of μ moves the prior mean of the group and lowers d - Rμ; of a coefficient, only the
     // latter
     let follow = |(i, c): (usize, usize)| f64::from(u8::from(i == c)) - mean.mean[(i, c)];
-    let follows: Vec<f64> = (0..p).flat_map(|i| (0..walked.before).map(move |c| (i, c))).map(follow).collect();
+    let follows: Vec<f64> = (0..p).flat_map(|i| (0..results.before).map(move |c| (i, c))).map(follow).collect();
     let one = |(unit, numbers): (usize, &UnitMembers)| {
-        let column = walked.before + unit;
+        let column = results.before + unit;
         let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
         let squared = squares[column];
         let posterior = ScaledGroupPosterior {

@@ -17,12 +17,12 @@
 use kalfit_lanes::Lanes;
 
 use crate::levels::batch_data::BatchData;
-use crate::levels::walk::{Down, GroupMean, LevelLaws, Walked};
+use crate::levels::walk::{Down, GroupMean, LevelLaws, PassResults};
 use kalfit_algebra::rows::Rows;
 
 /// An element of the Σ of a level, in both triangles.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Along {
+pub(super) struct SigmaElement {
     pub(super) level: usize,
     pub(super) row: usize,
     pub(super) column: usize,
@@ -70,7 +70,7 @@ type TangentPair<T> = (Rows<T>, Rows<T>);
 /// Derivatives (dW, ds); `None` where they are zero.
 type WeightTangent<T> = Option<TangentPair<T>>;
 
-impl Along {
+impl SigmaElement {
     /// Positions of the element in the matrix: two, or one on the diagonal.
     #[inline(always)]
     fn places(self) -> impl Iterator<Item = (usize, usize)> {
@@ -98,35 +98,35 @@ impl Along {
         moved
     }
 
-    /// Calls `tell` with the derivatives of every group, then of every test.
+    /// Calls `on_tangent` with the derivatives of every group, then of every test.
     #[inline(always)]
-    pub(super) fn through<T: Lanes>(
+    pub(super) fn each_tangent<T: Lanes>(
         self,
         at: &LevelLaws<'_, T>,
-        (bundle, walked): (&BatchData<'_, T>, &Walked<T>),
+        (batch, results): (&BatchData<'_, T>, &PassResults<T>),
         scratch: &mut Scratch<T>,
-        mut tell: impl FnMut(NodeTangent<'_, T>),
+        mut on_tangent: impl FnMut(NodeTangent<'_, T>),
     ) {
-        let changes = self.up(at, bundle, walked);
-        let last = bundle.groups.len() - 1;
-        let mut means: Vec<GroupMean<T>> = Vec::with_capacity(bundle.groups.len()); // in reverse order of the groups
-        for (own, node) in bundle.groups.iter().enumerate().rev() {
+        let changes = self.up(at, batch, results);
+        let last = batch.groups.len() - 1;
+        let mut means: Vec<GroupMean<T>> = Vec::with_capacity(batch.groups.len()); // in reverse order of the groups
+        for (own, node) in batch.groups.iter().enumerate().rev() {
             let above = match node.parent == own {
                 true => None,
-                false => Some((&walked.means[node.parent], &means[last - node.parent])),
+                false => Some((&results.means[node.parent], &means[last - node.parent])),
             };
-            let (up, down) = (&walked.up[own], &walked.down[own]);
+            let (up, down) = (&results.up[own], &results.down[own]);
             let change = changes[own].as_ref();
             let moved = moved((&up.W, down), change, above);
             let here = (node.level == self.level).then_some(self);
             let mean = inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above);
             means.push(mean);
-            tell(NodeTangent { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
+            on_tangent(NodeTangent { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
         }
-        for (number, (member, down)) in bundle.tests.iter().zip(&walked.tests).enumerate() {
+        for (number, (member, down)) in batch.tests.iter().zip(&results.tests).enumerate() {
             let moving = &means[last - member.group];
-            self.test((&walked.leaves[member.leaf].W, &walked.known[number]), down, moving, scratch);
-            tell(NodeTangent { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
+            self.test((&results.leaves[member.leaf].W, &results.known[number]), down, moving, scratch);
+            on_tangent(NodeTangent { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
         }
     }
 
@@ -185,22 +185,22 @@ impl Along {
     fn up<T: Lanes>(
         self,
         at: &LevelLaws<'_, T>,
-        bundle: &BatchData<'_, T>,
-        walked: &Walked<T>,
+        batch: &BatchData<'_, T>,
+        results: &PassResults<T>,
     ) -> Vec<WeightTangent<T>> {
-        let mut gathered: Vec<WeightTangent<T>> = Vec::with_capacity(bundle.groups.len());
-        for _ in bundle.groups {
+        let mut gathered: Vec<WeightTangent<T>> = Vec::with_capacity(batch.groups.len());
+        for _ in batch.groups {
             gathered.push(None);
         }
         let none = |W: &Rows<T>, s: &Rows<T>| (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
         if self.level == 0 {
-            for (member, s) in bundle.tests.iter().zip(&walked.said) {
-                let W = &walked.leaves[member.leaf].W;
+            for (member, s) in batch.tests.iter().zip(&results.said) {
+                let W = &results.leaves[member.leaf].W;
                 self.add_own(gathered[member.group].get_or_insert_with(|| none(W, s)), (W, s));
             }
         }
-        for (own, node) in bundle.groups.iter().enumerate() {
-            let up = &walked.up[own];
+        for (own, node) in batch.groups.iter().enumerate() {
+            let up = &results.up[own];
             let change = match gathered[own].take() {
                 _ if node.level == self.level => {
                     let mut change = none(&up.W, &up.s);
@@ -248,7 +248,7 @@ fn product<T: Lanes>(scale: f64, a: &Rows<T>, b: &Rows<T>, into: &mut Rows<T>) {
 
 /// The sum A + A'.
 #[inline(always)]
-fn twice<T: Lanes>(a: &Rows<T>) -> Rows<T> {
+fn with_transpose<T: Lanes>(a: &Rows<T>) -> Rows<T> {
     a.transposed().plus(a)
 }
 
@@ -269,7 +269,7 @@ fn moved<T: Lanes>(
         weight = weight.less(&W.times(&moving.covariance).times(W));
         if let Some((dW, _)) = change {
             r = r.less(&dW.times(&mean.mean));
-            weight = weight.less(&twice(&dW.times(&mean.covariance).times(W)));
+            weight = weight.less(&with_transpose(&dW.times(&mean.covariance).times(W)));
         }
     }
     (r, weight)
@@ -280,30 +280,30 @@ fn moved<T: Lanes>(
 fn inherited<T: Lanes>(
     (W, down, sigma): (&Rows<T>, &Down<T>, &Rows<T>),
     (change, moved): (Option<&TangentPair<T>>, &TangentPair<T>),
-    here: Option<Along>,
+    here: Option<SigmaElement>,
     above: Option<(&GroupMean<T>, &GroupMean<T>)>,
 ) -> GroupMean<T> {
     let p = W.nrows();
     let mut mean = sigma.times(&moved.0);
     let mut covariance = Rows::zeros(p, p);
-    let mut turned = Rows::zeros(p, p); // dT
+    let mut rest_tangent = Rows::zeros(p, p); // dT
     if let Some((dW, _)) = change {
         let known = sigma.times(dW);
         covariance = covariance.less(&known.times(sigma));
-        turned = turned.less(&known);
+        rest_tangent = rest_tangent.less(&known);
     }
     if let Some(along) = here {
         mean = mean.plus(&along.times(&down.r));
         let known = along.times(W);
-        covariance = covariance.plus(&along.matrix(p)).less(&twice(&known.times(sigma)));
-        turned = turned.less(&known);
+        covariance = covariance.plus(&along.matrix(p)).less(&with_transpose(&known.times(sigma)));
+        rest_tangent = rest_tangent.less(&known);
     }
     if let Some((law, moving)) = above {
         let rest = Rows::identity(p).less(&sigma.times(W));
         mean = mean.plus(&moving.mean);
         covariance = covariance
             .plus(&rest.times(&moving.covariance).times_transpose(&rest))
-            .plus(&twice(&turned.times(&law.covariance).times_transpose(&rest)));
+            .plus(&with_transpose(&rest_tangent.times(&law.covariance).times_transpose(&rest)));
     }
     GroupMean { mean, covariance }
 }

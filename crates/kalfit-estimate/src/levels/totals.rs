@@ -4,8 +4,8 @@ use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
 use crate::levels::batch_data::BatchData;
-use crate::levels::tangents::{Along, NodeTangent, Scratch};
-use crate::levels::walk::{LevelLaws, Walked};
+use crate::levels::tangents::{NodeTangent, Scratch, SigmaElement};
+use crate::levels::walk::{LevelLaws, PassResults};
 use crate::order::Order;
 use kalfit_algebra::rows::Rows;
 use kalfit_algebra::symmetric::{pair, pairs};
@@ -36,7 +36,7 @@ pub(super) struct UnitSums<T = f64> {
 
 /// Which sums are computed, and their sizes.
 #[derive(Clone, Copy)]
-pub(super) struct Wish<'a> {
+pub(super) struct SumSelection<'a> {
     pub(super) order: Order,
     /// Number of states.
     pub(super) states: usize,
@@ -51,11 +51,11 @@ pub(super) struct Wish<'a> {
 
 impl<T: Lanes> UnitSums<T> {
     #[inline(always)]
-    pub(super) fn zero(wish: Wish<'_>) -> UnitSums<T> {
-        let Wish { states: p, levels, coordinates, .. } = wish;
+    pub(super) fn zero(selection: SumSelection<'_>) -> UnitSums<T> {
+        let SumSelection { states: p, levels, coordinates, .. } = selection;
         let elements = levels * pairs(p);
-        let second = if wish.order >= Order::Second { elements } else { 0 };
-        let free = wish.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
+        let second = if selection.order >= Order::Second { elements } else { 0 };
+        let free = selection.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
         let mut totals = UnitSums {
             value: T::splat(0.0),
             quadratic: T::splat(0.0),
@@ -77,41 +77,46 @@ impl<T: Lanes> UnitSums<T> {
 
     /// Adds the terms of some units.
     #[inline(always)]
-    pub(super) fn take(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, wish: Wish<'_>) {
-        let coordinates = !at.regressors.is_empty() || wish.flat.is_some();
-        let walked = at.walked(bundle, coordinates);
-        let count = T::splat(walked.columns as f64);
-        self.value = self.value - T::splat(0.5) * (count * walked.log_det + walked.quadratic);
-        self.quadratic = self.quadratic + walked.quadratic;
-        for (node, down) in bundle.groups.iter().zip(&walked.down) {
-            self.first(node.level, (&down.r, &down.weight), (&walked, wish));
+    pub(super) fn take(&mut self, at: &LevelLaws<'_, T>, batch: &BatchData<'_, T>, selection: SumSelection<'_>) {
+        let coordinates = !at.regressors.is_empty() || selection.flat.is_some();
+        let results = at.results(batch, coordinates);
+        let count = T::splat(results.columns as f64);
+        self.value = self.value - T::splat(0.5) * (count * results.log_det + results.quadratic);
+        self.quadratic = self.quadratic + results.quadratic;
+        for (node, down) in batch.groups.iter().zip(&results.down) {
+            self.first(node.level, (&down.r, &down.weight), (&results, selection));
         }
-        for down in &walked.tests {
-            self.first(0, (&down.r, &down.weight), (&walked, wish));
+        for down in &results.tests {
+            self.first(0, (&down.r, &down.weight), (&results, selection));
         }
-        self.mean(at, bundle, &walked);
-        if wish.order >= Order::Second {
-            self.second(at, (bundle, &walked), wish);
+        self.mean(at, batch, &results);
+        if selection.order >= Order::Second {
+            self.second(at, (batch, &results), selection);
         }
     }
 
     /// Adds rr' and W̄ of a test or group.
     #[inline(always)]
-    fn first(&mut self, level: usize, (r, weight): (&Rows<T>, &Rows<T>), (walked, wish): (&Walked<T>, Wish<'_>)) {
-        let count = T::splat(walked.columns as f64);
+    fn first(
+        &mut self,
+        level: usize,
+        (r, weight): (&Rows<T>, &Rows<T>),
+        (results, selection): (&PassResults<T>, SumSelection<'_>),
+    ) {
+        let count = T::splat(results.columns as f64);
         add(&mut self.weight[level], count, weight);
-        add_products(&mut self.outer[level], (r, r), walked.before);
-        if let Some((jacobian, _)) = wish.flat {
-            self.spread(level, &of_free(r, jacobian), count);
+        add_products(&mut self.outer[level], (r, r), results.before);
+        if let Some((jacobian, _)) = selection.flat {
+            self.spread(level, &free_columns(r, jacobian), count);
         }
     }
 
     #[inline(always)]
-    fn mean(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, walked: &Walked<T>) {
-        let count = T::splat(walked.columns as f64);
-        for (member, down) in bundle.tests.iter().zip(&walked.tests) {
-            for (c, (state, x)) in each_coordinate(at, &bundle.leaves[member.leaf].covariates).enumerate() {
-                let (before, rest) = down.r.row(state).split_at(walked.before);
+    fn mean(&mut self, at: &LevelLaws<'_, T>, batch: &BatchData<'_, T>, results: &PassResults<T>) {
+        let count = T::splat(results.columns as f64);
+        for (member, down) in batch.tests.iter().zip(&results.tests) {
+            for (c, (state, x)) in each_coordinate(at, &batch.leaves[member.leaf].covariates).enumerate() {
+                let (before, rest) = down.r.row(state).split_at(results.before);
                 let score = &mut self.score[(c, 0)];
                 for &r in rest {
                     *score = x.fma(r, *score);
@@ -121,8 +126,8 @@ impl<T: Lanes> UnitSums<T> {
                 }
             }
         }
-        if walked.before == 0 {
-            let unit = &walked.up[walked.up.len() - 1];
+        if results.before == 0 {
+            let unit = &results.up[results.up.len() - 1];
             add(&mut self.information, count, &unit.W);
         }
     }
@@ -146,16 +151,21 @@ impl<T: Lanes> UnitSums<T> {
     }
 
     #[inline(always)]
-    fn second(&mut self, at: &LevelLaws<'_, T>, (bundle, walked): (&BatchData<'_, T>, &Walked<T>), wish: Wish<'_>) {
-        let p = wish.states;
-        let mut scratch = Scratch::new(p, walked.before + walked.columns);
+    fn second(
+        &mut self,
+        at: &LevelLaws<'_, T>,
+        (batch, results): (&BatchData<'_, T>, &PassResults<T>),
+        selection: SumSelection<'_>,
+    ) {
+        let p = selection.states;
+        let mut scratch = Scratch::new(p, results.before + results.columns);
         let mut along = Rows::zeros(p, p);
-        for level in 0..wish.levels {
+        for level in 0..selection.levels {
             for row in 0..p {
                 for column in 0..=row {
                     let place = (level * pairs(p) + pair(row, column), &mut along);
-                    let element = Along { level, row, column };
-                    self.along(at, (bundle, walked), (element, place), (&mut scratch, wish));
+                    let element = SigmaElement { level, row, column };
+                    self.along(at, (batch, results), (element, place), (&mut scratch, selection));
                 }
             }
         }
@@ -166,22 +176,22 @@ impl<T: Lanes> UnitSums<T> {
     fn along(
         &mut self,
         at: &LevelLaws<'_, T>,
-        (bundle, walked): (&BatchData<'_, T>, &Walked<T>),
-        (element, (e, sum)): (Along, (usize, &mut Rows<T>)),
-        (scratch, wish): (&mut Scratch<T>, Wish<'_>),
+        (batch, results): (&BatchData<'_, T>, &PassResults<T>),
+        (element, (e, sum)): (SigmaElement, (usize, &mut Rows<T>)),
+        (scratch, selection): (&mut Scratch<T>, SumSelection<'_>),
     ) {
-        element.through(
+        element.each_tangent(
             at,
-            (bundle, walked),
+            (batch, results),
             scratch,
             #[inline(always)]
             |moved| {
-                self.moved(walked, (e, sum), &moved, wish);
+                self.moved(results, (e, sum), &moved, selection);
                 if let Some(test) = moved.test {
-                    let covariates = &bundle.leaves[bundle.tests[test].leaf].covariates;
+                    let covariates = &batch.leaves[batch.tests[test].leaf].covariates;
                     for (c, (state, x)) in each_coordinate(at, covariates).enumerate() {
                         let cross = &mut self.cross[(c, e)];
-                        for &r in &moved.r.row(state)[walked.before..] {
+                        for &r in &moved.r.row(state)[results.before..] {
                             *cross = x.fnma(r, *cross);
                         }
                     }
@@ -194,19 +204,19 @@ impl<T: Lanes> UnitSums<T> {
     #[inline(always)]
     fn moved(
         &mut self,
-        walked: &Walked<T>,
+        results: &PassResults<T>,
         (e, along): (usize, &mut Rows<T>),
         moved: &NodeTangent<'_, T>,
-        wish: Wish<'_>,
+        selection: SumSelection<'_>,
     ) {
-        let (p, count) = (wish.states, T::splat(walked.columns as f64));
+        let (p, count) = (selection.states, T::splat(results.columns as f64));
         for i in 0..p {
             along.row_mut(i).fill(T::splat(0.0));
         }
-        add_products(along, (moved.r, &moved.of.r), walked.before);
-        add_products(along, (&moved.of.r, moved.r), walked.before);
-        if let Some((jacobian, Some(covariance))) = wish.flat {
-            let (own, free) = (of_free(moved.r, jacobian), of_free(&moved.of.r, jacobian));
+        add_products(along, (moved.r, &moved.of.r), results.before);
+        add_products(along, (&moved.of.r, moved.r), results.before);
+        if let Some((jacobian, Some(covariance))) = selection.flat {
+            let (own, free) = (free_columns(moved.r, jacobian), free_columns(&moved.of.r, jacobian));
             let both = own.times(&numbers(covariance)).times_transpose(&free);
             add(along, count, &both);
             add(along, count, &both.transposed());
@@ -276,7 +286,7 @@ fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl It
 
 /// Columns of r for the free mean coordinates, from the first columns of `r`, those of the mean coordinates.
 #[inline(always)]
-fn of_free<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
+fn free_columns<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
     r.first_columns(jacobian.nrows()).times(&numbers(jacobian))
 }
 

@@ -32,16 +32,16 @@ pub(super) fn trees(
     let mut by_id: Vec<usize> = (0..reductions.len()).collect();
     by_id.par_sort_unstable_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let mut groups: Vec<HashMap<usize, GroupTree>> = (0..grouping.depth()).map(|_| HashMap::new()).collect();
-    for (place, &j) in by_id.iter().enumerate() {
+    for (position, &j) in by_id.iter().enumerate() {
         let group = grouping.group_of(numbers[j], 0);
-        let tree = groups[0].entry(group).or_insert_with(|| GroupTree::empty(group, 1, place));
-        tree.tests.push((leaf_of[j], place, j));
+        let tree = groups[0].entry(group).or_insert_with(|| GroupTree::empty(group, 1, position));
+        tree.tests.push((leaf_of[j], position, j));
     }
     let mut kinds: HashMap<Vec<usize>, usize> = HashMap::new();
     for level in 0..grouping.depth() {
         let mut trees: Vec<GroupTree> = std::mem::take(&mut groups[level]).into_values().collect();
         trees.sort_unstable_by_key(|tree| tree.first);
-        trees.iter_mut().for_each(|tree| tree.settle(&mut kinds));
+        trees.iter_mut().for_each(|tree| tree.sort_and_classify(&mut kinds));
         if level + 1 == grouping.depth() {
             return trees;
         }
@@ -62,7 +62,7 @@ impl GroupTree {
     }
 
     /// Sorts the inner groups and tests, and determines the kind.
-    fn settle(&mut self, kinds: &mut HashMap<Vec<usize>, usize>) {
+    fn sort_and_classify(&mut self, kinds: &mut HashMap<Vec<usize>, usize>) {
         self.tests.sort_unstable();
         let by_kind = |a: &GroupTree, b: &GroupTree| -> Ordering { a.kind.cmp(&b.kind).then(a.first.cmp(&b.first)) };
         self.inner.sort_unstable_by(by_kind);
@@ -73,7 +73,7 @@ impl GroupTree {
     }
 
     /// Appends the groups, inner ones first, and the tests to `unit`; returns the index of this group there.
-    fn visit(&self, unit: &mut Laid) -> usize {
+    fn visit(&self, unit: &mut FlatUnit) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|tree| tree.visit(unit)).collect();
         let own = unit.groups.len();
         unit.groups.push((UnitGroup { level: self.level, parent: own }, self.group));
@@ -85,15 +85,15 @@ impl GroupTree {
 
 /// Groups and tests of a unit as flat lists, with the number of each group in its level and of each test's reduction.
 #[derive(Default)]
-pub(super) struct Laid {
+pub(super) struct FlatUnit {
     pub(super) groups: Vec<(UnitGroup, usize)>,
     pub(super) tests: Vec<(UnitTest, usize)>,
 }
 
-impl Laid {
-    pub(super) fn of(tree: &GroupTree) -> Laid {
-        let mut laid = Laid::default();
-        tree.visit(&mut laid);
-        laid
+impl FlatUnit {
+    pub(super) fn of(tree: &GroupTree) -> FlatUnit {
+        let mut flat = FlatUnit::default();
+        tree.visit(&mut flat);
+        flat
     }
 }

@@ -9,7 +9,7 @@ use crate::classes::Classes;
 use crate::frame::Frame;
 use crate::levels::batches::{UnitBatch, batches};
 use crate::levels::design::{Leaf, UnitDesign, UnitMembers, UnitTest};
-use crate::levels::trees::{GroupTree, Laid, trees};
+use crate::levels::trees::{FlatUnit, GroupTree, trees};
 use kalfit_algebra::rows::Rows;
 use kalfit_algebra::symmetric::pair;
 use kalfit_filter::reduce::{ReductionRef, Reductions};
@@ -52,20 +52,20 @@ impl Units {
         };
         let numbers: Option<Vec<usize>> = (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect();
         let Some(numbers) = numbers else {
-            let apart = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none());
-            return Err(apart.map_or(String::new(), |reduction| reduction.test.to_owned()));
+            let ungrouped = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none());
+            return Err(ungrouped.map_or(String::new(), |reduction| reduction.test.to_owned()));
         };
         let mut of_design: HashMap<usize, usize> = HashMap::new();
-        let mut found: Vec<Vec<GroupTree>> = Vec::new();
+        let mut trees_by_design: Vec<Vec<GroupTree>> = Vec::new();
         for tree in trees(reductions, &leaf_of, (grouping, &numbers)) {
-            let at = *of_design.entry(tree.kind).or_insert(found.len());
-            if at == found.len() {
-                found.push(Vec::new());
+            let at = *of_design.entry(tree.kind).or_insert(trees_by_design.len());
+            if at == trees_by_design.len() {
+                trees_by_design.push(Vec::new());
             }
-            found[at].push(tree);
+            trees_by_design[at].push(tree);
         }
         let design = |trees: &Vec<GroupTree>| UnitDesign::of(trees, reductions, frame, states);
-        let designs: Vec<UnitDesign> = found.par_iter().map(design).collect();
+        let designs: Vec<UnitDesign> = trees_by_design.par_iter().map(design).collect();
         Ok(Units {
             states,
             grouping: grouping.clone(),
@@ -88,14 +88,15 @@ impl Units {
         let mut first = 0;
         let mut designs = Vec::new();
         for design in self.designs.iter() {
-            let kept: Vec<usize> = (0..design.units.len()).filter(|unit| (first + unit) % every == every / 2).collect();
+            let selected: Vec<usize> =
+                (0..design.units.len()).filter(|unit| (first + unit) % every == every / 2).collect();
             first += design.units.len();
-            if !kept.is_empty() {
-                designs.push(design.some(&kept));
+            if !selected.is_empty() {
+                designs.push(design.some(&selected));
             }
         }
-        let kept: usize = designs.iter().map(|design| design.units.len()).sum();
-        let constant = self.constant * kept as f64 / first.max(1) as f64;
+        let selected: usize = designs.iter().map(|design| design.units.len()).sum();
+        let constant = self.constant * selected as f64 / first.max(1) as f64;
         Units { batches: Arc::new(batches(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
     }
 
@@ -124,11 +125,11 @@ impl Units {
 impl UnitDesign {
     /// The design of units whose trees have equal kinds.
     fn of(trees: &[GroupTree], reductions: &Reductions, frame: &Frame, p: usize) -> UnitDesign {
-        let laid: Vec<Laid> = trees.iter().map(Laid::of).collect();
-        let tests: Vec<UnitTest> = laid[0].tests.iter().map(|(member, _)| *member).collect();
+        let flat: Vec<FlatUnit> = trees.iter().map(FlatUnit::of).collect();
+        let tests: Vec<UnitTest> = flat[0].tests.iter().map(|(member, _)| *member).collect();
         let of_test = |t: usize| {
-            let mut data = Rows::zeros(p, laid.len());
-            for (unit, one) in laid.iter().enumerate() {
+            let mut data = Rows::zeros(p, flat.len());
+            for (unit, one) in flat.iter().enumerate() {
                 let reduction = reductions.get(one.tests[t].1);
                 for i in 0..p {
                     data[(i, unit)] = from_centre(reduction, frame, i);
@@ -139,8 +140,8 @@ impl UnitDesign {
         UnitDesign {
             data: (0..tests.len()).map(of_test).collect(),
             tests,
-            groups: laid[0].groups.iter().map(|(node, _)| *node).collect(),
-            units: laid
+            groups: flat[0].groups.iter().map(|(node, _)| *node).collect(),
+            units: flat
                 .iter()
                 .map(|one| UnitMembers {
                     tests: one.tests.iter().map(|(_, j)| *j).collect(),

@@ -11,7 +11,7 @@ use kalfit_algebra::factors::{Factors, Rotations};
 use kalfit_algebra::rows::Rows;
 
 /// An entry below this fraction of the norm of its column counts as rounding.
-const ROUNDING: f64 = 1e-10;
+const RANK_TOLERANCE: f64 = 1e-10;
 
 /// Σ of each level and the mean, at a point.
 pub(super) struct LevelLaws<'a, T = f64> {
@@ -68,7 +68,7 @@ pub(super) struct GroupMean<T> {
 }
 
 /// Results of the upward and downward pass through some units at a point.
-pub(super) struct Walked<T> {
+pub(super) struct PassResults<T> {
     /// Number of columns before those of the units: the effects of the mean coordinates, where requested.
     pub(super) before: usize,
     /// Number of units, one in each column.
@@ -165,15 +165,15 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
 
     /// Passes up and down through some units, with the effects of the mean coordinates if `coordinates`.
     #[inline(always)]
-    pub(super) fn walked(&self, bundle: &BatchData<'_, T>, coordinates: bool) -> Walked<T> {
+    pub(super) fn results(&self, batch: &BatchData<'_, T>, coordinates: bool) -> PassResults<T> {
         let before = if coordinates { self.mean.len() + self.regressors.len() } else { 0 };
-        let (groups, tests) = (bundle.groups.len(), bundle.tests.len());
-        let mut walked = Walked {
+        let (groups, tests) = (batch.groups.len(), batch.tests.len());
+        let mut results = PassResults {
             before,
-            columns: bundle.columns,
+            columns: batch.columns,
             log_det: T::splat(0.0),
             quadratic: T::splat(0.0),
-            leaves: Vec::with_capacity(bundle.leaves.len()),
+            leaves: Vec::with_capacity(batch.leaves.len()),
             up: Vec::with_capacity(groups),
             down: Vec::with_capacity(groups),
             means: Vec::with_capacity(groups),
@@ -181,67 +181,67 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
             tests: Vec::with_capacity(tests),
             known: Vec::with_capacity(tests),
         };
-        for leaf in &bundle.leaves {
-            walked.leaves.push(Integrated::of(&leaf.factor, &self.roots[0]));
+        for leaf in &batch.leaves {
+            results.leaves.push(Integrated::of(&leaf.factor, &self.roots[0]));
         }
-        self.up(bundle, &mut walked);
-        self.down(bundle, &mut walked);
-        walked
+        self.up(batch, &mut results);
+        self.down(batch, &mut results);
+        results
     }
 
     /// Upward pass, from the tests to the units.
     #[inline(always)]
-    fn up(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
+    fn up(&self, batch: &BatchData<'_, T>, results: &mut PassResults<T>) {
         let p = self.mean.len();
-        let width = p + walked.before + bundle.columns;
-        let mut gathered = Vec::with_capacity(bundle.groups.len());
-        for _ in bundle.groups {
+        let width = p + results.before + batch.columns;
+        let mut gathered = Vec::with_capacity(batch.groups.len());
+        for _ in batch.groups {
             gathered.push(Gathered::none(p, width));
         }
-        for (member, data) in bundle.tests.iter().zip(&bundle.data) {
-            let solved = &walked.leaves[member.leaf];
-            let own = self.data((&bundle.leaves[member.leaf], data), walked.before);
+        for (member, data) in batch.tests.iter().zip(&batch.data) {
+            let solved = &results.leaves[member.leaf];
+            let own = self.data((&batch.leaves[member.leaf], data), results.before);
             let left = Rows::solved_transposed(&solved.upper, own);
-            walked.said.push(solved.half.transpose_times(&left));
+            results.said.push(solved.half.transpose_times(&left));
             gathered[member.group].take(solved, &left);
         }
-        for (at, node) in bundle.groups.iter().enumerate() {
+        for (at, node) in batch.groups.iter().enumerate() {
             let own = std::mem::replace(&mut gathered[at], Gathered::none(0, 0));
             let solved = Integrated::of(&own.upper.first_columns(p), &self.roots[node.level]);
             let left = Rows::solved_transposed(&solved.upper, own.upper.last_columns(width - p));
             let s = solved.half.transpose_times(&left);
-            walked.log_det = walked.log_det + own.log_det;
-            walked.quadratic = walked.quadratic + total(&own.left[walked.before..]);
+            results.log_det = results.log_det + own.log_det;
+            results.quadratic = results.quadratic + total(&own.left[results.before..]);
             if node.parent == at {
-                walked.log_det = walked.log_det + solved.log_det;
-                walked.quadratic = walked.quadratic + total(&squares(&left)[walked.before..]);
+                results.log_det = results.log_det + solved.log_det;
+                results.quadratic = results.quadratic + total(&squares(&left)[results.before..]);
             } else {
                 gathered[node.parent].take(&solved, &left);
             }
-            walked.up.push(Up { W: solved.W, s, said: own.upper, left: own.left, log_det: own.log_det });
+            results.up.push(Up { W: solved.W, s, said: own.upper, left: own.left, log_det: own.log_det });
         }
     }
 
     /// Downward pass, from the units to the tests.
     #[inline(always)]
-    fn down(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
+    fn down(&self, batch: &BatchData<'_, T>, results: &mut PassResults<T>) {
         // the last group is the unit, so groups are visited from the last one on
-        for (at, node) in bundle.groups.iter().enumerate().rev() {
-            let (up, found) = (&walked.up[at], bundle.groups.len() - 1);
-            let above = if node.parent == at { None } else { Some(&walked.means[found - node.parent]) };
+        for (at, node) in batch.groups.iter().enumerate().rev() {
+            let (up, last) = (&results.up[at], batch.groups.len() - 1);
+            let above = if node.parent == at { None } else { Some(&results.means[last - node.parent]) };
             let own = Down::of((&up.W, up.s.clone()), above);
             let mean = GroupMean::of((&up.W, &own.r), &self.sigmas[node.level], above);
-            walked.means.push(mean);
-            walked.down.push(own);
+            results.means.push(mean);
+            results.down.push(own);
         }
-        walked.means.reverse();
-        walked.down.reverse();
-        for (member, s) in bundle.tests.iter().zip(&walked.said) {
-            let (W, mean) = (&walked.leaves[member.leaf].W, &walked.means[member.group]);
+        results.means.reverse();
+        results.down.reverse();
+        for (member, s) in batch.tests.iter().zip(&results.said) {
+            let (W, mean) = (&results.leaves[member.leaf].W, &results.means[member.group]);
             let known = W.times(&mean.covariance);
             let r = s.clone().less(&W.times(&mean.mean));
-            walked.tests.push(Down { r, weight: W.clone().less(&known.times(W)) });
-            walked.known.push(known);
+            results.tests.push(Down { r, weight: W.clone().less(&known.times(W)) });
+            results.known.push(known);
         }
     }
 }
@@ -257,11 +257,11 @@ impl LevelLaws<'_> {
     }
 }
 
-impl Walked<f64> {
+impl PassResults<f64> {
     /// Sum of log|I + RΣR'| over all tests and inner groups of a group, without the group itself, and the squared
     /// residuals of each column from joining them.
-    pub(super) fn within(&self, bundle: &BatchData<'_, f64>, group: usize) -> (f64, Vec<f64>) {
-        let inner = (0..bundle.groups.len()).filter(|&own| bundle.stands_in(own, group));
+    pub(super) fn within(&self, batch: &BatchData<'_, f64>, group: usize) -> (f64, Vec<f64>) {
+        let inner = (0..batch.groups.len()).filter(|&own| batch.is_within(own, group));
         let mut sum = (0.0, vec![0.0; self.before + self.columns]);
         for up in inner.map(|own| &self.up[own]) {
             sum.0 += up.log_det;
@@ -274,7 +274,7 @@ impl Walked<f64> {
 impl Up<f64> {
     /// Squared residuals of each column and log|I + RΣR'| of the group without other groups; `root`: F' of the Σ of its
     /// mean.
-    pub(super) fn apart(&self, root: &Rows) -> (Vec<f64>, f64) {
+    pub(super) fn without_unit(&self, root: &Rows) -> (Vec<f64>, f64) {
         let p = self.said.nrows();
         let solved = Integrated::of(&self.said.first_columns(p), root);
         let left = Rows::solved_transposed(&solved.upper, self.said.last_columns(self.said.ncols() - p));
@@ -286,7 +286,7 @@ impl Up<f64> {
         let p = self.said.nrows();
         let size = |k: usize| (0..=k).map(|i| self.said[(i, k)].powi(2)).sum::<f64>().sqrt();
         let sizes: Vec<f64> = (0..p).map(size).collect();
-        (0..p).filter(|&i| (i..p).any(|k| self.said[(i, k)].abs() > ROUNDING * sizes[k])).count()
+        (0..p).filter(|&i| (i..p).any(|k| self.said[(i, k)].abs() > RANK_TOLERANCE * sizes[k])).count()
     }
 }
 

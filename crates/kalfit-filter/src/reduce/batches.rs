@@ -29,7 +29,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reduced_tests::ReducedTests;
-use crate::reduce::reducer::{Reducer, ReducedWithEnd};
+use crate::reduce::reducer::{ReducedWithEnd, Reducer};
 use crate::reduce::replicates::Replicates;
 use batch_workspace::{batch_bytes, width_for};
 use kalfit_model::Test;
@@ -155,7 +155,8 @@ impl EnsembleBatches {
                 .collect();
             (values, found)
         };
-        let many = (self.batches.len() / (CHUNKS_PER_THREAD * rayon::current_num_threads())).clamp(1, MAX_CHUNK_BATCHES);
+        let many =
+            (self.batches.len() / (CHUNKS_PER_THREAD * rayon::current_num_threads())).clamp(1, MAX_CHUNK_BATCHES);
         let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
             self.batches.par_chunks(many).map_init(DataWorkspace::default, share).collect();
         let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();

@@ -42,8 +42,9 @@ impl CellMask {
     pub(crate) fn hash(&self, test: &Test, all: bool) -> u64 {
         let rows = if all { test.rows() } else { test.rows().min(ROWS_AT_ONCE) };
         let cells = &test.all_numbers()[..rows * test.widths().0];
-        self.texts(test, rows)
-            .fold(mix_word(self.hash_cells(cells), test.rows() as u64), |hash, text| mix_word(hash, text.index() as u64))
+        self.texts(test, rows).fold(mix_word(self.hash_cells(cells), test.rows() as u64), |hash, text| {
+            mix_word(hash, text.index() as u64)
+        })
     }
 
     /// True if two tests agree in all cells that count.

@@ -199,7 +199,12 @@ impl Dynamics {
         Ok(self.inputs.add(coefficient, false))
     }
 
-    fn add_state_noise(&mut self, at: &ModelAt<'_>, i: usize, variance: &kalfit_model::Expression) -> Result<(), Box<Fault>> {
+    fn add_state_noise(
+        &mut self,
+        at: &ModelAt<'_>,
+        i: usize,
+        variance: &kalfit_model::Expression,
+    ) -> Result<(), Box<Fault>> {
         let coefficient = at.variance(variance, Subject::ProcessNoise(i))?;
         if let Some(slot) = self.slot(at, coefficient, true) {
             self.noise.push((i, i, slot));

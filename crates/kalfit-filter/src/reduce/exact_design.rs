@@ -4,7 +4,7 @@
 //! An exact measurement that is a linear combination of earlier ones adds no information, and its value must be that
 //! combination of their values.
 
-use crate::reduce::data::{Miss, EXACT_TOLERANCE};
+use crate::reduce::data::{EXACT_TOLERANCE, Miss};
 use kalfit_model::ExactRows;
 
 /// Sensitivities up to this fraction of the size of their terms count as zero.
@@ -74,7 +74,8 @@ impl ExactDesign {
         }
         let is_sensitive = |k: usize| remainder[k].abs() > INSENSITIVE * terms[k];
         // the pivot is the entry that lost the fewest digits
-        let better = |a: &usize, b: &usize| (remainder[*a].abs() / terms[*a]).total_cmp(&(remainder[*b].abs() / terms[*b]));
+        let better =
+            |a: &usize, b: &usize| (remainder[*a].abs() / terms[*a]).total_cmp(&(remainder[*b].abs() / terms[*b]));
         let pivot = (0..p).rev().filter(|&k| is_sensitive(k)).max_by(better);
         self.measurements.push(ExactMeasurement { row, multipliers, is_independent: pivot.is_some() });
         if let Some(pivot) = pivot {

@@ -156,8 +156,9 @@ impl Gains {
 
     /// Memory in bytes.
     pub(crate) fn bytes(&self) -> usize {
-        let rotations =
-            self.rotations.as_ref().map_or(0, |rotations| 2 * rotations.row_rotations.len() + 5 * rotations.settle.len() + rotations.exact.len());
+        let rotations = self.rotations.as_ref().map_or(0, |rotations| {
+            2 * rotations.row_rotations.len() + 5 * rotations.settle.len() + rotations.exact.len()
+        });
         let end = self.end.as_ref().map_or(0, |end| end.bytes());
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         let paths: usize = self.paths.iter().map(MomentPath::bytes).sum();

@@ -102,7 +102,12 @@ pub(crate) fn mirror<R: Real>(P: &mut [R], r: usize) {
 
 /// P ← φPφ', lower triangle.
 #[inline(always)]
-fn transform_covariance<R: Real, E: Entries<R>>(P: &mut [R], r: usize, transition: TransitionView<'_, E>, work: &mut Vec<R>) {
+fn transform_covariance<R: Real, E: Entries<R>>(
+    P: &mut [R],
+    r: usize,
+    transition: TransitionView<'_, E>,
+    work: &mut Vec<R>,
+) {
     let TransitionView { pattern, phi, .. } = transition;
     let moved = pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &pattern.moved[..moved];

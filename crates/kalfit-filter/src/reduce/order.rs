@@ -56,7 +56,8 @@ impl Order {
         let mut place = vec![0; n];
         states.iter().enumerate().for_each(|(at, &state)| place[state] = at);
         let sensitivity_row = |state: usize| &sensitivity[state * p..][..p];
-        let row = |&state: &usize| if noisy[state] || moving[state] { DENSE } else { column_of(sensitivity_row(state)) };
+        let row =
+            |&state: &usize| if noisy[state] || moving[state] { DENSE } else { column_of(sensitivity_row(state)) };
         let frame = StateFrame {
             n,
             p,

@@ -1,6 +1,6 @@
 //! The outcome of a single test: its data pass under the gains of its design.
 
-use crate::reduce::data::{Data, Miss, Outcome, EXACT_TOLERANCE};
+use crate::reduce::data::{Data, EXACT_TOLERANCE, Miss, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::exact_design::ExactDesign;
 use crate::reduce::gains::{FactorRotations, Gains};
@@ -8,7 +8,12 @@ use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_
 use kalfit_lanes::Lanes;
 
 /// The outcome of a test. An error where a measurement that admits only one value has another.
-pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, scratch: &mut DataWorkspace) -> Result<Outcome, Miss> {
+pub(crate) fn outcome(
+    design: &Design,
+    gains: &Gains,
+    data: &Data,
+    scratch: &mut DataWorkspace,
+) -> Result<Outcome, Miss> {
     let of = (design, gains);
     let Some(rotations) = &gains.rotations else {
         pass_alone(of, data, scratch);
@@ -16,11 +21,19 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, scratch: &mut
     };
     let mut exact = None;
     if gains.active < design.rows() || !rotations.exact.is_empty() {
-        let mut check =
-            ConsistencyCheck { design, gains, exact: &rotations.exact, sizes: &data.sizes, exact_sizes: Vec::new(), miss: None };
+        let mut check = ConsistencyCheck {
+            design,
+            gains,
+            exact: &rotations.exact,
+            sizes: &data.sizes,
+            exact_sizes: Vec::new(),
+            miss: None,
+        };
         innovations(of, data, scratch, &mut check);
         check.miss.map_or(Ok(()), Err)?;
-        exact = (!rotations.exact.is_empty()).then(|| rotations.exact.rows_from_innovations(&scratch.e, &check.exact_sizes)).transpose()?;
+        exact = (!rotations.exact.is_empty())
+            .then(|| rotations.exact.rows_from_innovations(&scratch.e, &check.exact_sizes))
+            .transpose()?;
     } else {
         innovations(of, data, scratch, &mut ());
     }

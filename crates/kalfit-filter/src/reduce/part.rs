@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use crate::reduce::carry::Inheritance;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, ReducedWithEnd};
+use crate::reduce::reducer::{ReducedWithEnd, Reducer};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{EstimateReducer, FilterRunner, Terminal};
@@ -187,7 +187,12 @@ impl PhaseReducer {
     }
 
     /// A reduction made before, if it has the shape of this phase.
-    fn from_reduction<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<ReducedPhase<'a>, ReduceError> {
+    fn from_reduction<'a>(
+        &self,
+        id: &str,
+        piece: &'a PhaseReduction,
+        linked: bool,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
         let Sizes { q, n, regressions } = self.sizes;
         let before = self.position.before;
         let PhaseReduction { reduction, terminal, inherited, .. } = piece;

@@ -14,7 +14,7 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, ReducedWithEnd, Work};
+use crate::reduce::reducer::{ReducedWithEnd, Reducer, Work};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use kalfit_model::Test;

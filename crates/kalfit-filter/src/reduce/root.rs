@@ -65,7 +65,8 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
         end: None,
         paths: Vec::new(),
     };
-    let mut rotations = FactorRotations { row_rotations: Vec::with_capacity(p * design.rows()), ..FactorRotations::default() };
+    let mut rotations =
+        FactorRotations { row_rotations: Vec::with_capacity(p * design.rows()), ..FactorRotations::default() };
     for stretch in design.stretches() {
         let mut path = keeps_paths.then(|| MomentPath::new(design, &stretch)).flatten();
         for step in stretch.steps() {
@@ -142,7 +143,13 @@ impl<'a> RootFilter<'a> {
         Ok(())
     }
 
-    fn update(&mut self, design: &Design, (line, row): (usize, usize), gains: &mut Gains, rotations: &mut FactorRotations) {
+    fn update(
+        &mut self,
+        design: &Design,
+        (line, row): (usize, usize),
+        gains: &mut Gains,
+        rotations: &mut FactorRotations,
+    ) {
         let (p, r) = (self.frame.p, self.frame.r);
         let (states, h) = design.terms(line);
         let noise = design.noise[line];

@@ -101,7 +101,12 @@ impl<K, V> SharedStore<K, V> {
     /// A store that, beyond `first_use_bytes` bytes, keeps only values requested a second time: where most values are used once,
     /// it keeps the others and does not fill memory.
     pub(crate) fn with_second_use_policy(limit: usize, first_use_bytes: usize) -> SharedStore<K, V> {
-        SharedStore { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, first_use_bytes }
+        SharedStore {
+            shards: (0..16).map(|_| Mutex::default()).collect(),
+            bytes: AtomicUsize::new(0),
+            limit,
+            first_use_bytes,
+        }
     }
 
     /// True where this function was not given the digest before, whether or not its key is stored. A shard forgets all
@@ -132,7 +137,9 @@ impl<K, V> SharedStore<K, V> {
                 found => {
                     let entry = Arc::new(StoreEntry { key: key(), value: OnceLock::new() });
                     let bytes = self.bytes.load(Ordering::Relaxed);
-                    kept = found.is_none() && bytes < self.limit && (bytes < self.first_use_bytes || shard.is_known(digest));
+                    kept = found.is_none()
+                        && bytes < self.limit
+                        && (bytes < self.first_use_bytes || shard.is_known(digest));
                     if kept {
                         shard.entries.insert(digest, entry.clone());
                     }

@@ -178,7 +178,11 @@ impl ModelStart {
 }
 
 /// The groups of stationary states, which must depend on each other alone.
-fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, stationary_states: &[usize]) -> Result<Vec<StationaryGroup>, Box<Fault>> {
+fn groups(
+    at: &ModelAt<'_>,
+    dynamics: &Dynamics,
+    stationary_states: &[usize],
+) -> Result<Vec<StationaryGroup>, Box<Fault>> {
     let name = |i: usize| at.model.states[i].name.clone();
     let continuous = |i: usize| matches!(at.model.states[i].motion, Motion::Continuous { .. });
     let mut motion: Vec<(usize, usize, usize)> = Vec::new();

@@ -128,7 +128,8 @@ struct RangeInverseCache {
 
 impl RangeInverseCache {
     fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&RangeInverse> {
-        let same = |(a, b, _): &(Arc<Transition>, Arc<Transition>, RangeInverse)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
+        let same =
+            |(a, b, _): &(Arc<Transition>, Arc<Transition>, RangeInverse)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
         if !self.last.as_ref().is_some_and(same) {
             let range_inverse = RangeInverse::new(&old.dense_noise(r, |i| i), &new.dense_noise(r, |i| i))?;
             self.last = Some((old.clone(), new.clone(), range_inverse));
@@ -156,7 +157,8 @@ impl TransitionChange<'_> {
         second += &shift * mean.transpose() + &mean * shift.transpose() + &shift * shift.transpose();
         let part = range_inverse.expected(&second)?;
         let mean = mean + shift;
-        let reached = &range_inverse.inverse * (cross + &mean * DVector::from_column_slice(&self.before.mean).transpose());
+        let reached =
+            &range_inverse.inverse * (cross + &mean * DVector::from_column_slice(&self.before.mean).transpose());
         let pull = &range_inverse.inverse * mean;
         let mut phi = vec![0.0; self.new.phi.len()];
         for row in pattern.moved.iter().filter(|row| (row.state as usize) < r) {
@@ -273,7 +275,8 @@ impl RangeInverse {
         if count(&inside) != count(&range(&before)) {
             return None;
         }
-        let mut range_inverse = RangeInverse { inverse: DMatrix::zeros(r, r), log: 0.0, noisy, outside: DMatrix::zeros(0, r) };
+        let mut range_inverse =
+            RangeInverse { inverse: DMatrix::zeros(r, r), log: 0.0, noisy, outside: DMatrix::zeros(0, r) };
         for (k, value) in values.iter().enumerate() {
             let mut along = DVector::zeros(r);
             list.iter().enumerate().for_each(|(i, &state)| along[state] = scale[i] * vectors[(i, k)]);

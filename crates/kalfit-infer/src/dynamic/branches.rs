@@ -6,20 +6,20 @@ use kalfit_search::alike;
 use kalfit_search::{ExchangeablePair, ordered};
 
 /// Loss of ℓ from which on an end is outside every interval: half of χ²₁'s 95 % quantile.
-pub(super) const WITHIN: f64 = 1.9208;
+pub(super) const INTERVAL_LOSS: f64 = 1.9208;
 /// Maximal number of other ends that are followed.
-const MOST: usize = 6;
+const MAX_OTHERS: usize = 6;
 /// Relative difference of values up to which two ends are the same.
 pub(super) const ALIKE: f64 = 1e-3;
 
 /// Other ends of the searches, as sought values, from which a profile may be higher than from the best end: the highest
 /// first.
 pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
-    let least = fit.estimate.log_likelihood - WITHIN;
+    let least = fit.estimate.log_likelihood - INTERVAL_LOSS;
     let mut kept = vec![fit.sought.clone()];
     for end in fit.others.iter().filter(|end| end.log_likelihood >= least) {
         let sought = objective.sought(&end.values);
-        if kept.len() <= MOST && !kept.iter().any(|other| alike(other, &sought, ALIKE)) {
+        if kept.len() <= MAX_OTHERS && !kept.iter().any(|other| alike(other, &sought, ALIKE)) {
             kept.push(sought);
         }
     }
@@ -45,7 +45,7 @@ pub(super) fn others_of_value(
     let (mut kept, mut seen) = (Vec::new(), vec![place(best)]);
     for values in orders {
         let place = place(&values);
-        if kept.len() < MOST && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
+        if kept.len() < MAX_OTHERS && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
             kept.push(values);
             seen.push(place);
         }
@@ -105,6 +105,6 @@ mod tests {
         assert_eq!(of(&[vec![1.0, 0.1, 3.0, 0.3, 2.0, 0.2, 0.9]], 0), of(&[], 0));
         let many: Vec<Vec<f64>> = (2..9).map(|k| best.iter().map(|x| f64::from(k) * x).collect()).collect();
         let kept = of(&many, 0);
-        assert_eq!((kept.len(), &kept[2]), (MOST, &many[0]), "the highest first");
+        assert_eq!((kept.len(), &kept[2]), (MAX_OTHERS, &many[0]), "the highest first");
     }
 }

@@ -21,7 +21,7 @@ use kalfit_search::{DynamicError, DynamicFit};
 /// Step of a coordinate of α, and of the tangent basis in standard errors, for differences of coefficients.
 const STEP: f64 = 1e-4;
 /// Number of time steps of a record between two checks whether the caller waits.
-const ASKED: usize = 4096;
+const STEPS_PER_CHECK: usize = 4096;
 
 /// Covariances from the expected information; `None` where values of single tests are free, where some difference is
 /// not defined, and when the caller no longer waits.
@@ -75,7 +75,7 @@ fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
 
 /// The point of a fit, and points to both sides along each coordinate, with the distance between these.
 struct Directions {
-    home: RecordPoint,
+    centre: RecordPoint,
     all: Vec<([RecordPoint; 2], f64)>,
 }
 
@@ -117,7 +117,7 @@ impl Directions {
             let (Some(up), Some(down)) = (at(1.0)?, at(-1.0)?) else { return Ok(None) };
             all.push(([up, down], 2.0 * step));
         }
-        Ok(Some(Directions { home: place(&fit.alpha, state.law())?, all }))
+        Ok(Some(Directions { centre: place(&fit.alpha, state.law())?, all }))
     }
 
     /// Expected information of a unit of tests; only a part of it when the caller no longer waits.
@@ -126,12 +126,12 @@ impl Directions {
         unit: &[GroupedTest<'_>],
         progress: &SharedProgress<'_>,
     ) -> Result<DMatrix<f64>, ReduceError> {
-        let home = self.home.record(unit)?;
+        let centre = self.centre.record(unit)?;
         let sides = |([up, down], width): &([RecordPoint; 2], f64)| -> Result<RecordPair, ReduceError> {
             Ok(RecordPair { up: up.record(unit)?, down: down.record(unit)?, width: *width })
         };
         let pairs: Vec<RecordPair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
-        Ok(Carried::new(pairs.len()).over(&home, &pairs, progress))
+        Ok(TangentFilter::new(pairs.len()).over(&centre, &pairs, progress))
     }
 }
 
@@ -159,7 +159,7 @@ impl RecordPair {
                 noise: self.slope(up.noise, down.noise),
                 input: self.slope(up.input, down.input),
             },
-            _ => MotionValues::still(own.phi.shape()),
+            _ => MotionValues::zero_motion(own.phi.shape()),
         });
         let line = |(up, down): (LineValues, LineValues)| LineValues {
             h: self.slope(up.h, down.h),
@@ -171,7 +171,7 @@ impl RecordPair {
 }
 
 /// State of the filter: P and its tangents; mean and covariance of u = (x̂, tangents of x̂), one after the other.
-struct Carried {
+struct TangentFilter {
     n: usize,
     variance: DMatrix<f64>,
     slopes: Vec<DMatrix<f64>>,
@@ -180,10 +180,10 @@ struct Carried {
     information: DMatrix<f64>,
 }
 
-impl Carried {
+impl TangentFilter {
     /// The filter before the first entry, with `k` coordinates.
-    fn new(k: usize) -> Carried {
-        Carried {
+    fn new(k: usize) -> TangentFilter {
+        TangentFilter {
             n: 0,
             variance: DMatrix::zeros(0, 0),
             slopes: vec![DMatrix::zeros(0, 0); k],
@@ -194,11 +194,11 @@ impl Carried {
     }
 
     /// The information from all time steps of a record, as long as the caller waits.
-    fn over(mut self, home: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
+    fn over(mut self, centre: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
         let mut beside: Vec<[TimeSteps<'_>; 2]> =
             pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
-        for (number, own) in home.moments().enumerate() {
-            if number % ASKED == ASKED - 1 && progress.stops() {
+        for (number, own) in centre.moments().enumerate() {
+            if number % STEPS_PER_CHECK == STEPS_PER_CHECK - 1 && progress.stops() {
                 break;
             }
             let sides = pairs.iter().zip(&mut beside);

@@ -94,7 +94,7 @@ fn profiles(
 
 /// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
 pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
-    let observed = spread(objective, fit, fit.joint.covariances_beside(&flat::looked_at(objective, fit)));
+    let observed = spread(objective, fit, fit.joint.covariances_with(&flat::examined_eigenvalues(objective, fit)));
     let joint = law::joint(objective.model, fit, &observed);
     let mut estimate = fit.estimate.clone();
     estimate.state.joint = Some(JointLaw { mixed: mixed(objective, fit, &observed), ..joint });

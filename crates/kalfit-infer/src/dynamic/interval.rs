@@ -17,11 +17,11 @@ use kalfit_search::{ProfileLikelihood, ProfilePoint};
 use kalfit_search::{SearchEnd, SearchState};
 
 /// Distance of a logarithm from the maximum at which an interval is open.
-const FAR: f64 = 25.0;
+const OPEN_DISTANCE: f64 = 25.0;
 /// Part of the size suggested by the data from which a value at zero is followed.
-const TRACE: f64 = 1e-6;
+const SMALLEST_START: f64 = 1e-6;
 /// Longest first step of a logarithm.
-const STRIDE: f64 = 3.0;
+const MAX_FIRST_STEP: f64 = 3.0;
 
 /// Number of free values up to which intervals are profiled; with more values Wald's remain.
 pub const MOST_PROFILED: usize = 40;
@@ -73,7 +73,7 @@ struct HeldValue<'b, 'a, 'p> {
 /// The best point with the value held, and points on other branches.
 #[derive(Clone)]
 struct Branch {
-    home: ProfilePoint,
+    iterate: ProfilePoint,
     others: Vec<Vec<f64>>,
     /// The branch was not known before.
     is_new: bool,
@@ -89,8 +89,11 @@ impl Holds for HeldValue<'_, '_, '_> {
         let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way));
         // where ℓ is not defined a value is as unlikely as possible
         let nowhere = || Held { value: f64::NEG_INFINITY, slope: 0.0, near: near.clone() };
-        let held =
-            |found: Branch| Held { value: found.home.value(), slope: found.home.gradient[self.slot], near: found };
+        let held = |found: Branch| Held {
+            value: found.iterate.value(),
+            slope: found.iterate.gradient[self.slot],
+            near: found,
+        };
         Some(found.map_or_else(nowhere, held))
     }
 
@@ -106,8 +109,11 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         progress: &'b SharedProgress<'p>,
     ) -> HeldValue<'b, 'a, 'p> {
         let value = best.values[slot];
-        let from =
-            if objective.coordinates[slot].log && value == 0.0 { TRACE * objective.units()[slot] } else { value };
+        let from = if objective.coordinates[slot].log && value == 0.0 {
+            SMALLEST_START * objective.units()[slot]
+        } else {
+            value
+        };
         HeldValue { objective, best, slot, from, progress }
     }
 
@@ -115,14 +121,15 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
     /// enough.
     fn ends(&self, name: String, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
         let coordinate = self.objective.coordinates[self.slot];
-        let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
+        let (far, longest) =
+            if coordinate.log { (OPEN_DISTANCE, MAX_FIRST_STEP) } else { (f64::INFINITY, f64::INFINITY) };
         let bounds = [coordinate.lower, coordinate.upper];
         let way = |bound: f64| (coordinate.of_value(bound) - coordinate.of_value(self.from)).clamp(-far, far);
         let limits = bounds.map(|bound| Some(way(bound)).filter(|limit| limit.is_finite()));
         let maximum = self.best.value();
         let (centre, quantile, progress) = (0.0, QUANTILE, self.progress);
         let profile = Profile { holder: self, what: (), name, centre, maximum, quantile, limits, progress };
-        let start = Branch { home: self.best.clone(), others, is_new: false };
+        let start = Branch { iterate: self.best.clone(), others, is_new: false };
         let one = |(side, sign): (usize, f64)| {
             let bound = bounds[side];
             if self.best.values[self.slot] == bound {
@@ -150,23 +157,23 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
     /// The best point with the value held at `tried`: from nearby, from other ends where that is too low, and from
     /// around it where it is close to the quantile.
     fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
-        let from = |values: &[f64]| self.held_from(&near.home, values, tried);
+        let from = |values: &[f64]| self.held_from(&near.iterate, values, tried);
         let at = |root: f64| self.best.value() - 0.5 * root * root;
-        let value = |end: &SearchEnd| end.home.value();
+        let value = |end: &SearchEnd| end.iterate.value();
         let likely = at(QUANTILE - Self::PRECISION);
-        let end = highest(from(&near.home.values), &near.others, (value, likely), from)?;
+        let end = highest(from(&near.iterate.values), &near.others, (value, likely), from)?;
         let mut others = near.others.clone();
         if value(&end) > likely || value(&end) < at(QUANTILE + Self::PRECISION) {
-            return Some(Branch { home: end.home, others, is_new: false });
+            return Some(Branch { iterate: end.iterate, others, is_new: false });
         }
-        let before = end.home.values.clone();
+        let before = end.iterate.values.clone();
         let mut progress = self.progress;
-        let home = explore::around(self.objective, end, self.slot, &mut progress).home; // ℓ may be higher elsewhere
-        let is_new = !alike(&before, &home.values, ALIKE);
+        let iterate = explore::around(self.objective, end, self.slot, &mut progress).iterate; // ℓ may be higher elsewhere
+        let is_new = !alike(&before, &iterate.values, ALIKE);
         if is_new {
-            others.push(home.values.clone());
+            others.push(iterate.values.clone());
         }
-        Some(Branch { home, others, is_new })
+        Some(Branch { iterate, others, is_new })
     }
 
     /// The end of a search with the value held at `tried`, from these values alone.
@@ -174,12 +181,12 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         let mut values = values.to_vec();
         values[self.slot] = tried;
         let population = Population::from(&near.estimate);
-        let home = self.objective.solve(&values, Some(&population)).ok()?;
+        let iterate = self.objective.solve(&values, Some(&population)).ok()?;
         let mut progress = self.progress;
-        let mut search = SearchState::new(self.objective, &mut progress, home);
+        let mut search = SearchState::new(self.objective, &mut progress, iterate);
         search.hold(self.slot);
         let end = search.run().ok()?;
-        debug_assert!(end.home.values[self.slot] == tried, "a held value stays");
+        debug_assert!(end.iterate.values[self.slot] == tried, "a held value stays");
         Some(end)
     }
 }
@@ -187,7 +194,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamic::branches::WITHIN;
+    use crate::dynamic::branches::INTERVAL_LOSS;
     use kalfit_estimate::Silent;
     use kalfit_fixtures::bench::{twins, with_processes};
     use kalfit_model::Slots;
@@ -207,9 +214,9 @@ mod tests {
         let progress = SharedProgress::new(&mut silent, None);
         let profile = |slot: usize, value: f64| {
             let others = others_of_value(&objective, (&best.values, &others), slot);
-            let start = Branch { home: best.clone(), others, is_new: false };
+            let start = Branch { iterate: best.clone(), others, is_new: false };
             let found = HeldValue::new((&objective, &best), slot, &progress).highest(&start, value).expect("defined");
-            best.value() - found.home.value()
+            best.value() - found.iterate.value()
         };
         let (mut likely, mut unlikely) = (0, 0);
         for (a, b) in [(0, 2), (1, 3)] {
@@ -219,8 +226,8 @@ mod tests {
                 // where ℓ is high enough, no other branches are tried
                 let (least, most) = (one.min(other), one.max(other));
                 let same = most - least < 1e-6;
-                assert!(same || most < WITHIN, "{a} and {b} at {value}: ℓ falls by {one} and {other}");
-                (likely, unlikely) = if most < WITHIN { (likely + 1, unlikely) } else { (likely, unlikely + 1) };
+                assert!(same || most < INTERVAL_LOSS, "{a} and {b} at {value}: ℓ falls by {one} and {other}");
+                (likely, unlikely) = if most < INTERVAL_LOSS { (likely + 1, unlikely) } else { (likely, unlikely + 1) };
             }
         }
         assert!(likely >= 4 && unlikely >= 2, "{likely} and {unlikely}");

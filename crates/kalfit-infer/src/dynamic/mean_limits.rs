@@ -4,8 +4,8 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
+use crate::dynamic::held_profile::{HeldProfile, HeldQuantity, WarmStart};
 use crate::dynamic::inference::with_law;
-use crate::dynamic::outer::{HeldQuantity, Outer, WarmStart};
 use crate::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile, SharedProgress};
 use kalfit_estimate::{Estimate, Point, Progress};
 use kalfit_model::PhasedTest;
@@ -17,7 +17,7 @@ use kalfit_search::ProfileLikelihood;
 /// Step of a coordinate for derivatives of weights.
 const STEP: f64 = 1e-4;
 /// Relative change of a mean up to which it counts as known: nothing that was estimated moves it.
-const FAINT: f64 = 1e-12;
+const MIN_SENSITIVITY: f64 = 1e-12;
 
 /// All predicted means at an α, in one order; `None` where they have no value.
 pub type MeansAt<'a> = &'a (dyn Fn(&Alpha) -> Option<Vec<MeanCombination>> + Sync);
@@ -37,14 +37,14 @@ pub fn mean_limits(
     let goes_on = |runs| progress.goes_on(runs);
     let objective = objective.while_waited_for(BeforeRuns(&goes_on));
     let Some(home) = means(&fit.alpha) else { return Vec::new() };
-    let outer = Outer::new((&objective, fit), &estimate, &covariances);
+    let outer = HeldProfile::new((&objective, fit), &estimate, &covariances);
     let population = Population::from(&estimate);
     let means = Means { outer: &outer, means, fit };
     let limits = |number: usize| {
         let centre = home[number].value(&population);
         let mean = LimitedMean { means: &means, number };
         let moved = home[number].weights.amax().max(mean.slopes(&outer).amax());
-        if moved <= FAINT * centre.abs() {
+        if moved <= MIN_SENSITIVITY * centre.abs() {
             return Some([centre; 2]);
         }
         let step = quantile * outer.error(mean)?;
@@ -58,7 +58,7 @@ pub fn mean_limits(
 
 /// Predicted means as functions of α.
 struct Means<'o, 'b, 'a> {
-    outer: &'o Outer<'b, 'a>,
+    outer: &'o HeldProfile<'b, 'a>,
     means: MeansAt<'o>,
     fit: &'o DynamicFit,
 }
@@ -93,7 +93,7 @@ impl HeldQuantity for LimitedMean<'_, '_, '_, '_> {
         holder.combination(&weights, x - constant, near)
     }
 
-    fn value(self, outer: &Outer<'_, '_>) -> Option<f64> {
+    fn value(self, outer: &HeldProfile<'_, '_>) -> Option<f64> {
         Some(self.at(&self.means.fit.alpha)?.value(&Population::from(outer.estimate)))
     }
 
@@ -102,12 +102,12 @@ impl HeldQuantity for LimitedMean<'_, '_, '_, '_> {
         law.derivative_of_means(&weights)
     }
 
-    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64> {
+    fn slopes(self, outer: &HeldProfile<'_, '_>) -> DVector<f64> {
         let here = self.slopes_at(outer, &self.means.fit.sought, &Population::from(outer.estimate));
         here.unwrap_or_else(|| DVector::zeros(outer.slots.len()))
     }
 
-    fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>> {
+    fn slopes_at(self, outer: &HeldProfile<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>> {
         let slope = |&s: &usize| {
             let coordinate = &outer.objective.coordinates[s];
             let step = coordinate.step(values[s], STEP);

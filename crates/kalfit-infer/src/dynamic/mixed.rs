@@ -15,9 +15,9 @@ use kalfit_search::two_sides;
 /// Step of a difference, in logarithms and in parts of standard errors.
 const STEP: f64 = 1e-4;
 /// Largest step, as a part of a value's size.
-const PART: f64 = 1e-2;
+const MAX_PART: f64 = 1e-2;
 /// Number of values above which score tests are made at the estimated α, as if it were known.
-const MOST: usize = 24;
+const MAX_VALUES: usize = 24;
 
 /// Mixed information of the values that move at the end of a fit; `None` where none moves or no element is held, where
 /// very many values or those of single tests move, and where ℓ is not defined close to the end.
@@ -27,7 +27,11 @@ pub(super) fn mixed(
     covariances: &ValueCovariances,
 ) -> Option<Mixed> {
     let shared = &covariances.shared;
-    if shared.is_empty() || shared.len() > MOST || !fit.joint.is_of_shared_values() || !holds_any(&fit.estimate.state) {
+    if shared.is_empty()
+        || shared.len() > MAX_VALUES
+        || !fit.joint.is_of_shared_values()
+        || !holds_any(&fit.estimate.state)
+    {
         return None;
     }
     let rows: Option<Vec<DVector<f64>>> = shared.iter().map(|&s| row(objective, fit, covariances, s)).collect();
@@ -50,7 +54,7 @@ fn row(
 ) -> Option<DVector<f64>> {
     let (coordinate, value) = (&objective.coordinates[s], fit.sought[s]);
     let error = covariances.alpha[s].map(f64::sqrt);
-    let most = PART * value.abs().max(PART);
+    let most = MAX_PART * value.abs().max(MAX_PART);
     let step = if coordinate.log { STEP } else { error.map_or(most, |error| (STEP * error).min(most)) };
     let at = |sign: f64| -> Option<(f64, DVector<f64>)> {
         let mut values = fit.sought.clone();

@@ -2,12 +2,12 @@
 
 mod branches;
 mod expected;
+mod held_profile;
 mod inference;
 mod interval;
 mod law;
 mod mean_limits;
 mod mixed;
-mod outer;
 mod profile;
 mod ratio;
 mod sandwich;

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::dynamic::outer::{Outer, WarmStart};
+use crate::dynamic::held_profile::{HeldProfile, WarmStart};
 use crate::{Holdable, Inference, IntervalKind, SharedProgress, free, profiled, quantities};
 use kalfit_estimate::{Criterion, Estimate};
 use kalfit_model::{CovarianceKind, Expression};
@@ -48,9 +48,9 @@ pub(crate) fn profiles(
     entries.iter().for_each(|(what, parameter)| intervals.set(*what, parameter.interval));
     let is_done = |what: &Holdable| wanted.contains(what) || entries.iter().any(|(entry, _)| entry == what);
     intervals.unprofiled = due.iter().filter(|what| !is_done(what)).count();
-    let outer = Outer::new((objective, fit), estimate, covariances);
+    let outer = HeldProfile::new((objective, fit), estimate, covariances);
     let start = WarmStart::best(fit, estimate);
-    intervals.follow((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);
+    intervals.compute_profiles((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);
 }
 
 /// Off-diagonal elements of Σ that depend on parameters in matrices of its structure.

@@ -102,7 +102,7 @@ impl RecordPoint {
             let (design, data, own) = phase.reducer.evaluated(rows, room).map_err(|error| phase.named(error))?;
             covariates.extend(own);
             let covariances = room.covariances.clone().unwrap_or_default();
-            sections.push(Section { entry: MotionValues::still((0, 0)), design, data, covariances, held });
+            sections.push(Section { entry: MotionValues::zero_motion((0, 0)), design, data, covariances, held });
         }
         let mean = self.law.mean_of(&covariates);
         let (mut first, mut before) = (0, last.map_or(0, |(_, states)| states));
@@ -114,7 +114,7 @@ impl RecordPoint {
             if at == 0 {
                 self.groups(&mut entry, &a.columns(0, own).into_owned(), (member, last.map(|(member, _)| member)));
             } else {
-                self.carry((&mut entry, &a), (at, member, held), work)?;
+                self.inherit((&mut entry, &a), (at, member, held), work)?;
             }
             section.entry = entry;
             (first, before) = (first + own, section.states());
@@ -147,7 +147,7 @@ impl RecordPoint {
     }
 
     /// Adds the part of an entry that a later phase inherits.
-    fn carry(
+    fn inherit(
         &self,
         (entry, a): (&mut MotionValues, &DMatrix<f64>),
         (at, member, held): (usize, &GroupedTest<'_>, usize),
@@ -180,7 +180,7 @@ impl Section {
     /// The entry from `before` states, no part of which is kept yet; `own`: the contribution of the mean.
     fn start(&self, before: usize, own: DVector<f64>) -> MotionValues {
         let (held, n, r) = (self.held, self.design.frame.n, self.design.frame.r);
-        let mut entry = MotionValues::still((held + n, before));
+        let mut entry = MotionValues::zero_motion((held + n, before));
         entry.input.rows_mut(held, n).copy_from(&(own + DVector::from_column_slice(&self.data.start)));
         for i in 0..r {
             for j in 0..r {
@@ -194,7 +194,7 @@ impl Section {
 impl RecordMoments {
     /// All time steps, in order.
     pub(super) fn moments(&self) -> TimeSteps<'_> {
-        TimeSteps { record: self, section: 0, step: None, inputs: 0, crossed: 0, extra: 0 }
+        TimeSteps { record: self, section: 0, step: None, inputs: 0, crossed: 0, noise_states: 0 }
     }
 }
 
@@ -209,7 +209,7 @@ pub(super) struct TimeSteps<'r> {
     /// Number of covariances of noises that were taken.
     crossed: usize,
     /// Number of noises that are states of the present step.
-    extra: usize,
+    noise_states: usize,
 }
 
 impl Iterator for TimeSteps<'_> {
@@ -219,7 +219,7 @@ impl Iterator for TimeSteps<'_> {
         let section = self.record.sections.get(self.section)?;
         let Some(k) = self.step else {
             (self.step, self.inputs, self.crossed) = (Some(0), 0, 0);
-            let entry = section.entry.with_noises(std::mem::take(&mut self.extra), &DMatrix::zeros(0, 0));
+            let entry = section.entry.with_noises(std::mem::take(&mut self.noise_states), &DMatrix::zeros(0, 0));
             return Some(TimeStep { motion: Some(entry), lines: Vec::new() });
         };
         if k == section.design.steps() {
@@ -231,13 +231,13 @@ impl Iterator for TimeSteps<'_> {
         let crossed = self.crossed(section, &step);
         let noises = section.noises(&step, crossed);
         let motion = step.transition.map(|transition| self.motion(section, transition));
-        let before = std::mem::replace(&mut self.extra, noises.len());
+        let before = std::mem::replace(&mut self.noise_states, noises.len());
         let states = section.states();
         let motion = match before + noises.len() {
             0 => motion,
             _ => {
                 let covariance = section.covariance(&step, &noises, crossed);
-                Some(motion.unwrap_or_else(|| MotionValues::none(states)).with_noises(before, &covariance))
+                Some(motion.unwrap_or_else(|| MotionValues::identity_motion(states)).with_noises(before, &covariance))
             }
         };
         let line =
@@ -258,7 +258,7 @@ impl TimeSteps<'_> {
     /// φ, Q and b of a transition, for which inputs are taken.
     fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
         let (n, held) = (section.design.frame.n, section.held);
-        let mut motion = MotionValues::none(held + n);
+        let mut motion = MotionValues::identity_motion(held + n);
         motion.phi.view_mut((held, held), (n, n)).copy_from(&transition.dense_phi(n, |i| i));
         motion.noise.view_mut((held, held), (n, n)).copy_from(&transition.dense_noise(n, |i| i));
         for &state in &section.design.frame.driven {
@@ -307,13 +307,13 @@ impl Section {
 
 impl MotionValues {
     /// A motion of zeros, (to, from) these numbers of states: the slopes of a constant motion.
-    pub(super) fn still((to, from): (usize, usize)) -> MotionValues {
+    pub(super) fn zero_motion((to, from): (usize, usize)) -> MotionValues {
         MotionValues { phi: DMatrix::zeros(to, from), noise: DMatrix::zeros(to, to), input: DVector::zeros(to) }
     }
 
     /// The motion of n states that do not change.
-    fn none(n: usize) -> MotionValues {
-        MotionValues { phi: DMatrix::identity(n, n), ..MotionValues::still((n, n)) }
+    fn identity_motion(n: usize) -> MotionValues {
+        MotionValues { phi: DMatrix::identity(n, n), ..MotionValues::zero_motion((n, n)) }
     }
 
     /// Adds noise with this root to states from `first` on.
@@ -327,7 +327,7 @@ impl MotionValues {
     /// covariance.
     fn with_noises(&self, before: usize, covariance: &DMatrix<f64>) -> MotionValues {
         let ((to, from), now) = (self.phi.shape(), covariance.nrows());
-        let mut motion = MotionValues::still((to + now, from + before));
+        let mut motion = MotionValues::zero_motion((to + now, from + before));
         motion.phi.view_mut((0, 0), (to, from)).copy_from(&self.phi);
         motion.noise.view_mut((0, 0), (to, to)).copy_from(&self.noise);
         motion.noise.view_mut((to, to), (now, now)).copy_from(covariance);

@@ -64,12 +64,13 @@ pub fn bootstrap_while(
     (statistic, bootstrap): (f64, Bootstrap),
     goes_on: GoesOn<'_>,
 ) -> Option<BootstrapResult> {
-    let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
-    let draw = Draw::new(null, reductions, &places);
+    let regression_indices =
+        regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
+    let draw = Draw::new(null, reductions, &regression_indices);
     let one = |b: usize| {
         let mut random = ChaCha8Rng::seed_from_u64(bootstrap.seed);
         random.set_stream(b as u64);
-        ratio(null, alternative, &draw.ensemble(&mut random), &places)
+        ratio(null, alternative, &draw.ensemble(&mut random), &regression_indices)
     };
     let found = replicates(bootstrap.replicates, one, goes_on)?;
     Some(BootstrapResult::of(&found, statistic))
@@ -82,13 +83,13 @@ pub(crate) fn replicates<T: Send>(
     one: impl Fn(usize) -> T + Sync + Send,
     goes_on: GoesOn<'_>,
 ) -> Option<Vec<T>> {
-    let together = 8 * rayon::current_num_threads();
+    let chunk = 8 * rayon::current_num_threads();
     let mut found = Vec::new();
     while found.len() < count {
         if !goes_on(found.len()) {
             return None;
         }
-        let next = found.len()..count.min(found.len() + together);
+        let next = found.len()..count.min(found.len() + chunk);
         found.par_extend(next.into_par_iter().map(&one));
     }
     Some(found)
@@ -108,30 +109,35 @@ impl BootstrapResult {
 }
 
 /// The statistic of one ensemble; `None` when a fit is not certified.
-fn ratio(null: &Estimate, alternative: &Estimate, reductions: &Reductions, places: &[usize]) -> Option<f64> {
+fn ratio(
+    null: &Estimate,
+    alternative: &Estimate,
+    reductions: &Reductions,
+    regression_indices: &[usize],
+) -> Option<f64> {
     let truth = Population::from(null);
-    let narrow = certified(&null.state, &select_covariates(reductions, places), &truth)?;
-    let widened = |state: &Estimate| widened(state, places, alternative.coefficients.len());
-    let wide = certified(&alternative.state, reductions, &widened(null))?;
+    let narrow = certified(&null.state, &select_covariates(reductions, regression_indices), &truth)?;
+    let as_model_values = |state: &Estimate| as_model_values(state, regression_indices, alternative.coefficients.len());
+    let wide = certified(&alternative.state, reductions, &as_model_values(null))?;
     let found = 2.0 * (wide.log_likelihood - narrow.log_likelihood);
     if found >= -1e-7 {
         return Some(found.max(0.0));
     }
-    let wide = certified(&alternative.state, reductions, &widened(&narrow))?;
+    let wide = certified(&alternative.state, reductions, &as_model_values(&narrow))?;
     let found = 2.0 * (wide.log_likelihood - narrow.log_likelihood);
     (found >= -1e-7).then(|| found.max(0.0))
 }
 
 /// The estimate of the hypothesis as values of the model; regressions that only the model has get coefficients of zero.
-pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) -> Population {
+pub(super) fn as_model_values(null: &Estimate, regression_indices: &[usize], coefficients: usize) -> Population {
     let mut all = vec![0.0; coefficients];
-    places.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
+    regression_indices.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
     Population { coefficients: all, ..Population::from(null) }
 }
 
 /// The reductions with a selection of their covariates.
-pub(super) fn select_covariates(reductions: &Reductions, places: &[usize]) -> Reductions {
-    reductions.clone().with_covariates(places)
+pub(super) fn select_covariates(reductions: &Reductions, regression_indices: &[usize]) -> Reductions {
+    reductions.clone().with_covariates(regression_indices)
 }
 
 /// A certified fit from the true values or, when that fails, from a start that the data give.
@@ -149,29 +155,29 @@ struct Draw<'a> {
     order: Vec<usize>,
     null: &'a Estimate,
     /// Index of each regression of the hypothesis among the covariates of the reductions.
-    places: &'a [usize],
+    regression_indices: &'a [usize],
     /// F with Σ = FF' of the per-test effects, then of each level of groups, the innermost first.
     roots: Vec<DMatrix<f64>>,
 }
 
 impl<'a> Draw<'a> {
-    fn new(null: &'a Estimate, reductions: &'a Reductions, places: &'a [usize]) -> Draw<'a> {
+    fn new(null: &'a Estimate, reductions: &'a Reductions, regression_indices: &'a [usize]) -> Draw<'a> {
         let mut order: Vec<usize> = (0..reductions.len()).collect();
         order.sort_by(|&a, &b| reductions.get(a).test.cmp(reductions.get(b).test));
         let levels = null.grouping().map_or(1, |grouping| grouping.depth() + 1);
         let p = null.covariance.nrows() / levels;
         let root = |l: usize| symmetric::square_root(&null.covariance.view((l * p, l * p), (p, p)).into_owned());
-        Draw { reductions, order, null, places, roots: (0..levels).map(root).collect() }
+        Draw { reductions, order, null, regression_indices, roots: (0..levels).map(root).collect() }
     }
 
     fn ensemble(&self, random: &mut ChaCha8Rng) -> Reductions {
         let mut drawn = self.reductions.select(&self.order);
         let mut groups: BTreeMap<(usize, usize), DVector<f64>> = BTreeMap::new();
         for number in 0..drawn.len() {
-            let added = self.added(drawn.id(number), &mut groups, random);
-            let like = drawn.get(number);
-            let xi = self.xi(like, added, random);
-            let data = self.data(like, &xi, random);
+            let group_effects = self.group_effects(drawn.id(number), &mut groups, random);
+            let template = drawn.get(number);
+            let xi = self.xi(template, group_effects, random);
+            let data = self.data(template, &xi, random);
             let test = drawn.get_mut(number);
             (*test.constant, *test.residual) = (0.0, None);
             test.data.copy_from_slice(data.as_slice());
@@ -183,7 +189,7 @@ impl<'a> Draw<'a> {
     }
 
     /// Sum of the effects of a test's groups; effects of groups that are not in `groups` yet are drawn.
-    fn added(
+    fn group_effects(
         &self,
         test: &str,
         groups: &mut BTreeMap<(usize, usize), DVector<f64>>,
@@ -200,23 +206,24 @@ impl<'a> Draw<'a> {
         sum
     }
 
-    /// Draws ξ of a test; `added` is the sum of the effects of its groups.
-    fn xi(&self, like: ReductionRef<'_>, added: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+    /// Draws ξ of a test; `group_effects` is the sum of the effects of its groups.
+    fn xi(&self, template: ReductionRef<'_>, group_effects: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let (p, root) = (self.roots[0].nrows(), &self.roots[0]);
-        let mut xi = DVector::from_column_slice(&self.null.mean[..p]) + added + root * normal(root.ncols(), random);
+        let mut xi =
+            DVector::from_column_slice(&self.null.mean[..p]) + group_effects + root * normal(root.ncols(), random);
         for (c, &element) in self.null.state.problem.mean.regressors.iter().enumerate() {
-            xi[element] += like.covariates[self.places[c]] * self.null.coefficients[c];
+            xi[element] += template.covariates[self.regression_indices[c]] * self.null.coefficients[c];
         }
         xi
     }
 
     /// Draws d of a test, given ξ.
-    fn data(&self, like: ReductionRef<'_>, xi: &DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+    fn data(&self, template: ReductionRef<'_>, xi: &DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let p = xi.len();
-        let factor = unpack(like.factor, p);
+        let factor = unpack(template.factor, p);
         let noise = normal(p, random);
-        let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
-        &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 })
+        let informed = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
+        &factor * xi + DVector::from_fn(p, |i, _| if informed(i) { noise[i] } else { 0.0 })
     }
 }
 

@@ -20,11 +20,11 @@ use kalfit_estimate::Order;
 use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, PhaseForm, Problem, generic_root};
 
 /// Eigenvalues of an information or of a block of Σ, scaled to unit diagonal, below this count as zero.
-const NONE: f64 = 1e-10;
+const ZERO_EIGENVALUE: f64 = 1e-10;
 /// Number of draws for the weights of four and more half-spaces.
 const DRAWS: usize = 200_000;
 /// Number of half-spaces up to which weights are computed; beyond, only the bound is given.
-const MOST: usize = 20;
+const MAX_HALF_SPACES: usize = 20;
 
 /// Results from the tangent cone.
 pub(super) struct TangentCone {
@@ -36,23 +36,24 @@ pub(super) struct TangentCone {
 /// The law of the likelihood ratio; `equal`: hypothesis and model have the same likelihood.
 pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> TangentCone {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
-    let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
-    let information = information(null, outer, &places);
+    let regression_indices =
+        regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
+    let information = information(null, outer, &regression_indices);
     let wide = directions(outer, outer.mean.jacobian(), &null.state.newton_iterate.point.root);
-    let mean = narrow_mean(&null.state.problem.mean.jacobian(), outer.mean.jacobian().nrows(), &places);
+    let mean = narrow_mean(&null.state.problem.mean.jacobian(), outer.mean.jacobian().nrows(), &regression_indices);
     let narrow = directions(inner, mean, &null.state.newton_iterate.point.root);
     let rank = |basis: &DMatrix<f64>| rank(&(basis.transpose() * &information * basis));
     let degrees_of_freedom = rank(&wide).saturating_sub(rank(&narrow));
-    let sides = sides(&null.state.newton_iterate.point.root, inner, outer);
+    let boundary_cone = boundary_cone(&null.state.newton_iterate.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
     if degrees_of_freedom == 0 && !equal {
         // the hypothesis removes quantities that are identified only in a sum with others, and so bounds that sum: that
         // of two variances is at least the one that remains
-        let taken = wide.ncols().saturating_sub(narrow.ncols()).max(1);
-        let law = ReferenceLaw { is_bound: true, ..ReferenceLaw::chi_squared(taken) };
-        return TangentCone { degrees_of_freedom: taken, law, null_on_boundary };
+        let removed = wide.ncols().saturating_sub(narrow.ncols()).max(1);
+        let law = ReferenceLaw { is_bound: true, ..ReferenceLaw::chi_squared(removed) };
+        return TangentCone { degrees_of_freedom: removed, law, null_on_boundary };
     }
-    let law = match sides {
+    let law = match boundary_cone {
         BoundaryCone::None => ReferenceLaw::chi_squared(degrees_of_freedom),
         BoundaryCone::Unknown => bound(degrees_of_freedom),
         BoundaryCone::Lines(lines) => {
@@ -64,20 +65,20 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
 }
 
 /// Expected information on mean coordinates and elements of Σ of the model, at the estimate of the hypothesis.
-fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f64> {
+fn information(null: &Estimate, outer: &Problem, regression_indices: &[usize]) -> DMatrix<f64> {
     let mut point = null.state.newton_iterate.point.clone();
     let mut coefficients = vec![0.0; outer.mean.regressors.len()];
-    places.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
+    regression_indices.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
     point.coefficients = coefficients;
     outer.likelihood(&point, Order::Expected).all_expected_information()
 }
 
 /// d(mean coordinates of the model) / d(free mean coordinates of the hypothesis).
-fn narrow_mean(jacobian: &DMatrix<f64>, rows: usize, places: &[usize]) -> DMatrix<f64> {
-    let p = jacobian.nrows() - places.len();
+fn narrow_mean(jacobian: &DMatrix<f64>, rows: usize, regression_indices: &[usize]) -> DMatrix<f64> {
+    let p = jacobian.nrows() - regression_indices.len();
     let mut mean = DMatrix::zeros(rows, jacobian.ncols());
     for row in 0..jacobian.nrows() {
-        let at = if row < p { row } else { p + places[row - p] };
+        let at = if row < p { row } else { p + regression_indices[row - p] };
         mean.set_row(at, &jacobian.row(row));
     }
     mean
@@ -101,7 +102,7 @@ fn rank(information: &DMatrix<f64>) -> usize {
     let known = |i: usize| information[(i, i)] > 1e-14 * largest;
     let scaled =
         DMatrix::from_fn(n, n, |i, j| if known(i) && known(j) { information[(i, j)] / size[i] / size[j] } else { 0.0 });
-    symmetric::eigen(&scaled).0.iter().filter(|v| **v > NONE).count()
+    symmetric::eigen(&scaled).0.iter().filter(|v| **v > ZERO_EIGENVALUE).count()
 }
 
 /// How the hypothesis puts Σ on the boundary of what the model allows.
@@ -114,7 +115,7 @@ enum BoundaryCone {
     Unknown,
 }
 
-fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone {
+fn boundary_cone(null_root: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone {
     let (narrow, wide) = (generic_root(inner), generic_root(outer));
     let elements = &outer.covariance.elements;
     let mut lines = Vec::new();
@@ -122,8 +123,8 @@ fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone 
         match &part.form {
             CoordinateForm::Factor(blocks) => {
                 for block in blocks {
-                    let null = null_space_at(here, &narrow, block);
-                    let own = null_space(&wide, block, NONE).ncols();
+                    let null = null_space_at(null_root, &narrow, block);
+                    let own = null_space(&wide, block, ZERO_EIGENVALUE).ncols();
                     match null.ncols() {
                         n if n == own => {}
                         1 => lines.push(line(&null.column(0).into_owned(), block, elements)),
@@ -131,8 +132,8 @@ fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone 
                     }
                 }
             }
-            CoordinateForm::Scale(star) if part.of(&narrow).amax() == 0.0 => {
-                lines.push(along_scale(part, star, elements))
+            CoordinateForm::Scale(sigma_star) if part.of(&narrow).amax() == 0.0 => {
+                lines.push(along_scale(part, sigma_star, elements))
             }
             CoordinateForm::StdDevs(_, states) if states.iter().any(|&i| narrow.row(i).norm() == 0.0) => {
                 return BoundaryCone::Unknown;
@@ -144,18 +145,18 @@ fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone 
 }
 
 /// Weights of the elements of D that give β where D = βΣ*.
-fn along_scale(part: &PhaseForm, star: &DMatrix<f64>, elements: &Elements) -> DVector<f64> {
-    let star = part.placed(&(star * star.transpose()), elements.states());
-    let size = star.norm_squared();
-    let weight = |(i, j): (usize, usize)| star[(i, j)] / size * if i == j { 1.0 } else { 2.0 };
+fn along_scale(part: &PhaseForm, sigma_star: &DMatrix<f64>, elements: &Elements) -> DVector<f64> {
+    let sigma_star = part.placed(&(sigma_star * sigma_star.transpose()), elements.states());
+    let size = sigma_star.norm_squared();
+    let weight = |(i, j): (usize, usize)| sigma_star[(i, j)] / size * if i == j { 1.0 } else { 2.0 };
     DVector::from_iterator(elements.count(), elements.all().map(weight))
 }
 
 /// Null space that a hypothesis gives a block at its estimate. Its directions follow the estimate (as with DRD and a
 /// singular R) where they are as many as for a generic member of the hypothesis; otherwise they are those of the
 /// member.
-fn null_space_at(here: &DMatrix<f64>, generic: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
-    let (own, of_any) = (null_space(here, block, NONE), null_space(generic, block, NONE));
+fn null_space_at(null_root: &DMatrix<f64>, generic: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
+    let (own, of_any) = (null_space(null_root, block, ZERO_EIGENVALUE), null_space(generic, block, ZERO_EIGENVALUE));
     if own.ncols() == of_any.ncols() { own } else { of_any }
 }
 
@@ -174,7 +175,7 @@ fn line(n: &DVector<f64>, block: &[usize], elements: &Elements) -> DVector<f64> 
 fn null_is_generic(null: &Estimate, inner: &Problem) -> bool {
     let map: &CovarianceMap = &inner.covariance;
     let generic = generic_root(inner);
-    let rank = |root: &DMatrix<f64>| map.random.len() - null_space(root, &map.random, NONE).ncols();
+    let rank = |root: &DMatrix<f64>| map.random.len() - null_space(root, &map.random, ZERO_EIGENVALUE).ncols();
     rank(&null.state.newton_iterate.point.root) >= rank(&generic)
 }
 
@@ -195,7 +196,7 @@ fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw
     if m == 0 {
         return ReferenceLaw::chi_squared(degrees_of_freedom);
     }
-    if m > MOST || m < known.len() {
+    if m > MAX_HALF_SPACES || m < known.len() {
         return bound(degrees_of_freedom);
     }
     let correlation = DMatrix::from_fn(m, m, |a, b| {
@@ -330,8 +331,8 @@ mod tests {
     /// β where D = βΣ*; for any other D the β of the nearest βΣ*, tr(DΣ*)/tr(Σ*Σ*).
     #[test]
     fn a_common_factor_is_read_off_a_direction() {
-        let star = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.5, 2.0]);
-        let root = symmetric::square_root(&star);
+        let sigma_star = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.5, 2.0]);
+        let root = symmetric::square_root(&sigma_star);
         let part = PhaseForm { states: 1..3, form: CoordinateForm::Scale(root.clone()), linear: false, start: None };
         let elements = Elements::single(3);
         let weights = along_scale(&part, &root, &elements);

@@ -42,13 +42,13 @@ impl LikelihoodRatio {
 }
 
 /// Relative difference up to which two log-likelihoods count as equal.
-const ROUNDING: f64 = 1e-8;
+const EQUAL_LIKELIHOODS: f64 = 1e-8;
 
 /// Tests a hypothesis within a model, both fitted to the same reductions.
 pub fn likelihood_ratio(null: &Estimate, alternative: &Estimate) -> Result<LikelihoodRatio, NotNested> {
     nested::check(null, alternative)?;
     let statistic = (2.0 * (alternative.log_likelihood - null.log_likelihood)).max(0.0);
-    let is_rounding = statistic <= ROUNDING * (1.0 + null.log_likelihood.abs());
+    let is_rounding = statistic <= EQUAL_LIKELIHOODS * (1.0 + null.log_likelihood.abs());
     let tangent = cone::tangent(null, alternative, is_rounding);
     Ok(LikelihoodRatio {
         statistic: if is_rounding && tangent.degrees_of_freedom == 0 { 0.0 } else { statistic },
@@ -67,8 +67,8 @@ pub fn fit_null(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Option<Result<Estimate, FitError>> {
-    let places = nested::regressions(null, model)?;
-    Some(fit(&bootstrap::select_covariates(reductions, &places), null, settings, progress))
+    let regression_indices = nested::regressions(null, model)?;
+    Some(fit(&bootstrap::select_covariates(reductions, &regression_indices), null, settings, progress))
 }
 
 /// The fit of the model, repeated from the estimate of the hypothesis when that has the higher likelihood: the search
@@ -77,10 +77,10 @@ pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &Reductions)
     if alternative.log_likelihood >= null.log_likelihood - 1e-9 * null.log_likelihood.abs().max(1.0) {
         return Ok(alternative);
     }
-    let Some(places) = nested::regressions(&null.state.structure(), &alternative.state.structure()) else {
+    let Some(regression_indices) = nested::regressions(&null.state.structure(), &alternative.state.structure()) else {
         return Ok(alternative);
     };
-    let start = bootstrap::widened(null, &places, alternative.coefficients.len());
+    let start = bootstrap::as_model_values(null, &regression_indices, alternative.coefficients.len());
     let state = &alternative.state;
     let again = fit_from(reductions, &state.structure(), &start, &state.settings, &mut Silent)?;
     Ok(if again.log_likelihood > alternative.log_likelihood { again } else { alternative })

@@ -6,7 +6,7 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::{Criterion, Estimate, Problem, Structure};
 
 /// Relative difference that counts as rounding.
-const ROUNDING: f64 = 1e-8;
+const RELATIVE_TOLERANCE: f64 = 1e-8;
 
 /// Why a hypothesis cannot be tested within a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -71,7 +71,7 @@ fn mean(inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     let size = 1.0 + offset.amax();
     let columns = inner.mean.basis.column_iter().map(|c| outside(&c.into_owned()));
     let worst = columns.fold(outside(&offset) / size, f64::max);
-    if worst > ROUNDING { Err(NotNested::Mean) } else { Ok(()) }
+    if worst > RELATIVE_TOLERANCE { Err(NotNested::Mean) } else { Ok(()) }
 }
 
 /// Checks that the estimated Σ of `inner`, and every Σ of `inner` near it, is one of `outer`.
@@ -84,7 +84,7 @@ fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), N
     let off = &copy * copy.transpose() - &sigma;
     let relative = DMatrix::from_fn(off.nrows(), off.ncols(), |i, j| off[(i, j)] / size[i] / size[j]);
     let residual = map.residual(&sigma);
-    if relative.amax() > ROUNDING || map.relative_residual(&sigma, &residual) > ROUNDING {
+    if relative.amax() > RELATIVE_TOLERANCE || map.relative_residual(&sigma, &residual) > RELATIVE_TOLERANCE {
         return Err(NotNested::Covariance);
     }
     let inside = inner.covariance.free_directions(&inner.covariance.chart(root)).dense();

@@ -94,7 +94,7 @@ pub fn restricted(
         for texts in rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
             // most rows have the same labels as the row before
             if last.replace(texts) != Some(texts) {
-                follow(index, texts, (&null, &wide), &mut targets)?;
+                record_target(index, texts, (&null, &wide), &mut targets)?;
             }
         }
     }
@@ -113,7 +113,7 @@ pub fn restricted(
 }
 
 /// Records what the hypothesis makes of the model's value of one parameter on one row.
-fn follow(
+fn record_target(
     index: usize,
     texts: &[Label],
     (null, wide): (&ComparedModel<'_>, &ComparedModel<'_>),
@@ -125,7 +125,7 @@ fn follow(
         return Ok(());
     };
     let slot = null.slots.find(index, texts);
-    let Some(place) = wide.slots.find(index, texts) else {
+    let Some(wide_slot) = wide.slots.find(index, texts) else {
         return match slot {
             None if found == expected => Ok(()),
             None => Err(NotNestedParameter::Fixed { name: name(), found: Some(found), expected }),
@@ -133,7 +133,7 @@ fn follow(
         };
     };
     let target = slot.map_or(Target::Value(found), Target::Slot);
-    match targets[place].replace(target) {
+    match targets[wide_slot].replace(target) {
         Some(before) if before != target => Err(NotNestedParameter::Levels { name: name() }),
         _ => Ok(()),
     }

@@ -76,9 +76,10 @@ impl FreeStates {
         let directions = &scaled * &observed;
         let rest = &data
             - &directions
-                * (directions.transpose() * &directions)
-                    .cholesky()
-                    .map_or_else(|| DVector::zeros(observed.ncols()), |own| own.solve(&(directions.transpose() * &data)));
+                * (directions.transpose() * &directions).cholesky().map_or_else(
+                    || DVector::zeros(observed.ncols()),
+                    |own| own.solve(&(directions.transpose() * &data)),
+                );
         (observed.ncols(), rest.norm_squared())
     }
 }

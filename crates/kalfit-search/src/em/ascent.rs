@@ -8,11 +8,11 @@ const DEPTH: usize = 12;
 /// Maximal number of steps of one maximisation.
 const STEPS: usize = 60;
 /// Predicted rise, relative to that of the first step, at which a maximisation ends.
-const PART: f64 = 1e-10;
+const RELATIVE_GAIN: f64 = 1e-10;
 /// Predicted rise at which a maximisation ends in any case.
-const LITTLE: f64 = 1e-18;
+const MIN_GAIN: f64 = 1e-18;
 /// Longest first step of a coordinate, while the curvature is unknown.
-const FIRST: f64 = 0.1;
+const FIRST_STEP: f64 = 0.1;
 /// Longest step of a logarithm.
 const LONGEST: f64 = 1.5;
 
@@ -37,14 +37,14 @@ impl Ascent {
         let Some((mut value, mut gradient)) = function(&values) else { return values };
         let mut first = None;
         for _ in 0..STEPS {
-            let inside = inward(objective, &values, &gradient, free);
+            let inside = free_inside(objective, &values, &gradient, free);
             let step = self.direction(&gradient, &inside, objective);
             let promised = dot(&step, &gradient, &inside);
             let first = *first.get_or_insert(promised);
-            if promised <= LITTLE.max(PART * first) {
+            if promised <= MIN_GAIN.max(RELATIVE_GAIN * first) {
                 break;
             }
-            let Some(next) = climb(function, (&values, value), (&step, promised), objective) else {
+            let Some(next) = line_search(function, (&values, value), (&step, promised), objective) else {
                 if self.pairs.is_empty() {
                     break;
                 }
@@ -88,7 +88,7 @@ impl Ascent {
             Some((s, y)) => dot(s, y, inside) / dot(y, y, inside),
             None => {
                 if most > 0.0 {
-                    (FIRST / most).min(1.0)
+                    (FIRST_STEP / most).min(1.0)
                 } else {
                     0.0
                 }
@@ -109,7 +109,7 @@ impl Ascent {
 }
 
 /// Values that are free and do not press against a bound.
-fn inward(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], free: &[bool]) -> Vec<bool> {
+fn free_inside(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], free: &[bool]) -> Vec<bool> {
     let one = |s: usize| {
         let coordinate = &objective.coordinates[s];
         let pressed = coordinate.at_lower(values[s]) && gradient[s] <= 0.0
@@ -120,7 +120,7 @@ fn inward(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], f
 }
 
 /// The step, shortened until the function rises enough.
-fn climb(
+fn line_search(
     function: &AscentFunction<'_>,
     (values, value): (&[f64], f64),
     (step, promised): (&[f64], f64),

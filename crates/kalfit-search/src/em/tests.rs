@@ -139,12 +139,12 @@ fn end(objective: &ProfileLikelihood<'_>, values: &[f64], method: Method) -> Sea
 fn the_expected_likelihood_has_the_slope_of_the_likelihood_where_its_moments_are() {
     for model in [sensors(), recursion(), decay()] {
         with_bench(&model, 1, |objective| {
-            let home = objective.solve(&off(&model), None).expect("solved");
-            let complete = objective.complete(&home).expect("moments");
-            let (_, gradient) = objective.expected(&complete, &home.values).expect("defined at home");
-            let ways = ways(objective, &home).expect("ways");
+            let iterate = objective.solve(&off(&model), None).expect("solved");
+            let complete = objective.complete(&iterate).expect("moments");
+            let (_, gradient) = objective.expected(&complete, &iterate.values).expect("defined at home");
+            let ways = ways(objective, &iterate).expect("ways");
             let own = |(s, _): &(usize, (&f64, &f64))| ways[*s] != Way::Likelihood;
-            for (s, (own, wanted)) in gradient.iter().zip(&home.gradient).enumerate().filter(own) {
+            for (s, (own, wanted)) in gradient.iter().zip(&iterate.gradient).enumerate().filter(own) {
                 let apart = (own - wanted).abs() / (1.0 + wanted.abs());
                 assert!(apart < 1e-7, "value {s}: {own} of Q, {wanted} of the likelihood");
             }
@@ -156,9 +156,9 @@ fn the_expected_likelihood_has_the_slope_of_the_likelihood_where_its_moments_are
 fn the_gradient_of_the_expected_likelihood_equals_difference_quotients() {
     for model in [sensors(), recursion()] {
         with_bench(&model, 2, |objective| {
-            let home = objective.solve(&off(&model), None).expect("solved");
-            let complete = objective.complete(&home).expect("moments");
-            let away: Vec<f64> = home.values.iter().map(|x| x * 1.07).collect();
+            let iterate = objective.solve(&off(&model), None).expect("solved");
+            let complete = objective.complete(&iterate).expect("moments");
+            let away: Vec<f64> = iterate.values.iter().map(|x| x * 1.07).collect();
             let (_, gradient) = objective.expected(&complete, &away).expect("defined");
             for (s, own) in gradient.iter().enumerate() {
                 let at = |h: f64| {
@@ -178,17 +178,17 @@ fn the_gradient_of_the_expected_likelihood_equals_difference_quotients() {
 fn a_noise_level_in_closed_form_maximises_the_expected_likelihood() {
     let model = decay();
     with_bench(&model, 3, |objective| {
-        let home = objective.solve(&off(&model), None).expect("solved");
-        let ways = ways(objective, &home).expect("ways");
+        let iterate = objective.solve(&off(&model), None).expect("solved");
+        let ways = ways(objective, &iterate).expect("ways");
         assert_eq!(ways[0], Way::Likelihood, "no noise accompanies the rate");
         let free: Vec<bool> = ways.iter().map(|way| matches!(way, Way::Level { .. })).collect();
         assert_eq!(free, [false, true, true], "noise levels: {ways:?}");
-        let complete = objective.complete(&home).expect("moments");
+        let complete = objective.complete(&iterate).expect("moments");
         let expected = |values: &[f64]| objective.expected(&complete, values);
-        let found = Ascent::default().maximise(&expected, home.values.clone(), &free, objective);
+        let found = Ascent::default().maximise(&expected, iterate.values.clone(), &free, objective);
         for s in 1..3 {
             let Way::Level { degree, count } = ways[s] else { unreachable!("just asserted") };
-            let closed = home.values[s] * level_step(&objective.coordinates[s], &home, s, (degree, count)).exp();
+            let closed = iterate.values[s] * level_step(&objective.coordinates[s], &iterate, s, (degree, count)).exp();
             assert!((closed / found[s] - 1.0).abs() < 1e-7, "level {s}: closed form {closed}, maximum {}", found[s]);
         }
     });
@@ -198,14 +198,18 @@ fn a_noise_level_in_closed_form_maximises_the_expected_likelihood() {
 fn the_likelihood_rises_at_least_as_much_as_the_expected_one() {
     for (model, seed) in [(sensors(), 4), (recursion(), 5), (sensors(), 6), (recursion(), 7)] {
         with_bench(&model, seed, |objective| {
-            let home = objective.solve(&off(&model), None).expect("solved");
-            let complete = objective.complete(&home).expect("moments");
+            let iterate = objective.solve(&off(&model), None).expect("solved");
+            let complete = objective.complete(&iterate).expect("moments");
             let expected = |values: &[f64]| objective.expected(&complete, values);
-            let before = expected(&home.values).expect("defined").0;
-            let found =
-                Ascent::default().maximise(&expected, home.values.clone(), &vec![true; home.values.len()], objective);
+            let before = expected(&iterate.values).expect("defined").0;
+            let found = Ascent::default().maximise(
+                &expected,
+                iterate.values.clone(),
+                &vec![true; iterate.values.len()],
+                objective,
+            );
             let promised = expected(&found).expect("defined").0 - before;
-            let risen = objective.value(&found).expect("defined") - home.value();
+            let risen = objective.value(&found).expect("defined") - iterate.value();
             assert!(promised > 1e-3 && risen >= promised - 1e-9, "Q rises by {promised}, the likelihood by {risen}");
         });
     }
@@ -217,15 +221,15 @@ fn em_never_lets_the_likelihood_fall_and_ends_where_the_hybrid_ends() {
         with_bench(&model, seed, |objective| {
             let from = off(&model);
             let (em, hybrid) = (end(objective, &from, Method::Em), end(objective, &from, Method::Hybrid));
-            let slack = 1e-11 * em.home.value().abs();
+            let slack = 1e-11 * em.iterate.value().abs();
             for pair in em.trace.windows(2) {
                 assert!(pair[1] >= pair[0] - slack, "seed {seed}: from {} to {}", pair[0], pair[1]);
             }
             assert_eq!((em.stop, hybrid.stop), (Stop::Certified, Stop::Certified), "seed {seed}");
-            let (own, other) = (em.home.value(), hybrid.home.value());
+            let (own, other) = (em.iterate.value(), hybrid.iterate.value());
             assert!((own - other).abs() < 1e-7, "seed {seed}: ℓ {own} by EM, {other} by the hybrid");
             let worth = em.joint.covariances();
-            for (s, (a, b)) in em.home.values.iter().zip(&hybrid.home.values).enumerate() {
+            for (s, (a, b)) in em.iterate.values.iter().zip(&hybrid.iterate.values).enumerate() {
                 let Some(variance) = worth.alpha[s] else { continue };
                 let error = variance.sqrt() * objective.coordinates[s].slope(*a).abs();
                 assert!(
@@ -248,12 +252,12 @@ fn a_level_that_should_be_zero_gets_there() {
         let own = ProfileLikelihood::new(&model, &tests, objective.slots, objective.settings);
         let (em, hybrid) = (end(&own, &[0.4, 0.05, 0.3], Method::Em), end(&own, &[0.4, 0.05, 0.3], Method::Hybrid));
         assert_eq!(em.stop, Stop::Certified);
-        let (a, b) = (em.home.value(), hybrid.home.value());
+        let (a, b) = (em.iterate.value(), hybrid.iterate.value());
         assert!(
             (a - b).abs() < 1e-7,
             "ℓ {a} by EM, {b} by the hybrid; levels {}, {}",
-            em.home.values[1],
-            hybrid.home.values[1]
+            em.iterate.values[1],
+            hybrid.iterate.values[1]
         );
     });
 }

@@ -18,29 +18,29 @@ pub(super) enum Way {
 }
 
 /// How EM moves every free value: by what the model says and, where it says nothing, by trying.
-pub(super) fn ways(objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
-    let levels = objective.levels(&home.alpha)?;
+pub(super) fn ways(objective: &ProfileLikelihood<'_>, iterate: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
+    let levels = objective.levels(&iterate.alpha)?;
     let mut direct = objective.matrix_slots();
     direct.extend(objective.hidden_slots());
     let first = |s: usize| match levels.of(objective.slots, s) {
         _ if direct.contains(&s) => Way::Likelihood,
         // a level at zero would stay there
-        Some(_) if home.values[s] == 0.0 => Way::Likelihood,
+        Some(_) if iterate.values[s] == 0.0 => Way::Likelihood,
         Some((degree, count)) => Way::Level { degree, count },
         None => Way::Expected,
     };
-    let mut ways: Vec<Way> = (0..home.values.len()).map(first).collect();
+    let mut ways: Vec<Way> = (0..iterate.values.len()).map(first).collect();
     if !ways.contains(&Way::Expected) {
         return Ok(ways);
     }
-    let complete = objective.complete(home)?;
+    let complete = objective.complete(iterate)?;
     for parameter in 0..objective.model.shared().parameters.len() {
         let own = |s: &usize| objective.slots.slots()[*s].parameter == parameter && ways[*s] == Way::Expected;
-        let own: Vec<usize> = (0..home.values.len()).filter(own).collect();
+        let own: Vec<usize> = (0..iterate.values.len()).filter(own).collect();
         let moves = |sign: f64| {
-            let mut values = home.values.clone();
+            let mut values = iterate.values.clone();
             own.iter().for_each(|&s| values[s] = objective.coordinates[s].moved(values[s], sign * PROBE));
-            values != home.values && objective.expected(&complete, &values).is_some()
+            values != iterate.values && objective.expected(&complete, &values).is_some()
         };
         if !own.is_empty() && !moves(1.0) && !moves(-1.0) {
             own.iter().for_each(|&s| ways[s] = Way::Likelihood);

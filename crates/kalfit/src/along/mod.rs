@@ -13,7 +13,7 @@ mod tests;
 mod thin;
 mod walk;
 
-use crate::along::walk::Walk;
+use crate::along::walk::RecordEvaluator;
 use crate::datasheet::allan;
 use kalfit_apply::apply::{Applied, ApplyError};
 use kalfit_filter::innovations::InnovationFilter;
@@ -87,7 +87,7 @@ fn one_by_one(
             record.notes.push(format!("{} of the records are shown: the fit was interrupted", record.tests.len()));
             return Ok(());
         }
-        let walk = Walk { model, applied: &applied, filter: &filter, values };
+        let walk = RecordEvaluator { model, applied: &applied, filter: &filter, values };
         record.tests.push(walk.test(&own[place], place)?);
     }
     Ok(())

@@ -81,14 +81,14 @@ fn short_records_are_whole_and_as_applied() {
             }
         }
         for (m, own) in phase.measurements.iter().enumerate() {
-            let foreseen: Vec<_> = predicted[at][0]
+            let expected: Vec<_> = predicted[at][0]
                 .steps
                 .iter()
                 .flat_map(|step| &step.measurements)
                 .filter(|one| one.measurement == m)
                 .collect();
-            assert_eq!((own.values, own.predicted.len()), (foreseen.len(), foreseen.len()));
-            for (k, one) in foreseen.iter().enumerate() {
+            assert_eq!((own.values, own.predicted.len()), (expected.len(), expected.len()));
+            for (k, one) in expected.iter().enumerate() {
                 assert!((own.predicted[k] - one.value).abs() < 1e-12 && (own.std_dev[k] - one.std_dev).abs() < 1e-12);
             }
             let z: Vec<f64> = seen[at]

@@ -3,7 +3,7 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Number of largest values that are included in addition to the regular ones.
-const MOST_FAR: usize = 20;
+const MOST_LARGEST: usize = 20;
 
 /// Indices of about `most` of n values at equal distances, including the first and the last.
 pub(super) fn thinned(n: usize, most: usize) -> Vec<usize> {
@@ -16,11 +16,11 @@ pub(super) fn thinned(n: usize, most: usize) -> Vec<usize> {
 }
 
 /// The indices of [`thinned`], and those of the values that are largest in magnitude.
-pub(super) fn with_far(values: &[f64], most: usize) -> Vec<usize> {
+pub(super) fn with_largest(values: &[f64], most: usize) -> Vec<usize> {
     let mut places = thinned(values.len(), most);
     if places.len() < values.len() {
         let mut order: Vec<usize> = (0..values.len()).collect();
-        let far = MOST_FAR.min(values.len());
+        let far = MOST_LARGEST.min(values.len());
         let larger = |i: &usize, k: &usize| values[*k].abs().total_cmp(&values[*i].abs()).then(i.cmp(k));
         order.select_nth_unstable_by(far - 1, larger);
         places.extend(&order[..far]);
@@ -75,11 +75,11 @@ mod tests {
     fn the_largest_are_kept() {
         let mut values = vec![0.0; 1000];
         (values[123], values[777]) = (-9.0, 8.0);
-        let places = with_far(&values, 10);
+        let places = with_largest(&values, 10);
         assert!(places.contains(&123) && places.contains(&777), "{places:?}");
         assert!(places.is_sorted() && places.len() <= 31, "{places:?}");
-        assert_eq!(with_far(&values[..5], 10), [0, 1, 2, 3, 4]);
-        assert!(with_far(&[], 10).is_empty());
+        assert_eq!(with_largest(&values[..5], 10), [0, 1, 2, 3, 4]);
+        assert!(with_largest(&[], 10).is_empty());
     }
 
     #[test]

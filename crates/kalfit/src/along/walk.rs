@@ -1,7 +1,7 @@
 //! One test along its record: measured and predicted values, innovations, smoothed states.
 
 use crate::along::MOST_QUANTILES;
-use crate::along::thin::{quantiles, thinned, with_far};
+use crate::along::thin::{quantiles, thinned, with_largest};
 use kalfit_apply::apply::{Applied, ApplyError, PhaseStates, StateKind};
 use kalfit_filter::innovations::{Innovation, InnovationFilter};
 use kalfit_model::PhasedModel;
@@ -9,7 +9,7 @@ use kalfit_model::{Evidence, PhasedTest};
 use kalfit_record::{MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
 
 /// Model and filters that a test is evaluated with.
-pub(super) struct Walk<'a> {
+pub(super) struct RecordEvaluator<'a> {
     pub(super) model: &'a PhasedModel,
     pub(super) applied: &'a Applied<'a>,
     pub(super) filter: &'a InnovationFilter,
@@ -25,7 +25,7 @@ struct MeasuredValue {
     std_dev: f64,
 }
 
-impl Walk<'_> {
+impl RecordEvaluator<'_> {
     /// Results along a test; `place`: its index among the tests that the model is applied to.
     pub(super) fn test(&self, test: &PhasedTest, place: usize) -> Result<TestAlong, ApplyError> {
         let of = |kind| self.applied.states(kind, place..place + 1).map(|mut all| all.pop().unwrap_or_default());
@@ -37,7 +37,7 @@ impl Walk<'_> {
         let smoothed = of(StateKind::Smoothed)?;
         let one = |(states, measured): (&PhaseStates, Vec<Vec<MeasuredValue>>)| {
             let phase = &self.model.phases[states.phase];
-            let kept = thinned(states.steps.len(), self.values);
+            let included = thinned(states.steps.len(), self.values);
             let measurements = measured.into_iter().enumerate().map(|(m, values)| {
                 let own = seen.iter().filter(|one| one.phase == states.phase && one.measurement == m);
                 self.measurement(&phase.model.measurements[m].name, &values, &own.collect::<Vec<_>>())
@@ -45,8 +45,8 @@ impl Walk<'_> {
             PhaseAlong {
                 name: phase.name.clone(),
                 steps: states.steps.len(),
-                at: kept.iter().map(|&step| time(states.steps[step].time)).collect(),
-                states: self.states(states, &kept),
+                at: included.iter().map(|&step| time(states.steps[step].time)).collect(),
+                states: self.states(states, &included),
                 measurements: measurements.filter(|own| own.values > 0).collect(),
             }
         };
@@ -71,10 +71,10 @@ impl Walk<'_> {
     fn measurement(&self, name: &str, values: &[MeasuredValue], seen: &[&Innovation]) -> MeasurementAlong {
         let off =
             |one: &MeasuredValue| if one.std_dev > 0.0 { (one.measured - one.predicted) / one.std_dev } else { 0.0 };
-        let kept = with_far(&values.iter().map(off).collect::<Vec<f64>>(), self.values);
-        let of = |own: &dyn Fn(&MeasuredValue) -> f64| kept.iter().map(|&place| own(&values[place])).collect();
+        let included = with_largest(&values.iter().map(off).collect::<Vec<f64>>(), self.values);
+        let of = |own: &dyn Fn(&MeasuredValue) -> f64| included.iter().map(|&place| own(&values[place])).collect();
         let sizes: Vec<f64> = seen.iter().map(|one| one.standardised).collect();
-        let shown = with_far(&sizes, self.values);
+        let shown = with_largest(&sizes, self.values);
         MeasurementAlong {
             name: name.to_owned(),
             values: values.len(),
@@ -89,13 +89,13 @@ impl Walk<'_> {
         }
     }
 
-    fn states(&self, states: &PhaseStates, kept: &[usize]) -> Vec<StateAlong> {
+    fn states(&self, states: &PhaseStates, included: &[usize]) -> Vec<StateAlong> {
         let model = &self.model.phases[states.phase].model;
         let one = |(i, state): (usize, &kalfit_model::State)| StateAlong {
             name: state.name.clone(),
             unit: state.unit.clone(),
-            mean: kept.iter().map(|&step| states.steps[step].mean[i]).collect(),
-            std_dev: kept.iter().map(|&step| states.steps[step].std_dev[i]).collect(),
+            mean: included.iter().map(|&step| states.steps[step].mean[i]).collect(),
+            std_dev: included.iter().map(|&step| states.steps[step].std_dev[i]).collect(),
         };
         model.states.iter().enumerate().map(one).collect()
     }

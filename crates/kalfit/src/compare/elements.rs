@@ -26,7 +26,7 @@ pub struct StandingRecord {
 
 /// Identifies an element of a fit.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Key {
+pub(super) enum ElementKey {
     /// Phase and state.
     Mean(String, String),
     /// Phase, state and column.
@@ -45,10 +45,10 @@ pub(super) enum CovarianceOf {
 }
 
 /// All elements of a fit.
-pub(super) type FitElements = BTreeMap<Key, StandingRecord>;
+pub(super) type FitElements = BTreeMap<ElementKey, StandingRecord>;
 
 pub(super) fn elements(fit: &FitRecord) -> FitElements {
-    let mean = |(key, fixed): (Key, bool)| {
+    let mean = |(key, fixed): (ElementKey, bool)| {
         let value = mean_value(fit, &key);
         (key, StandingRecord { fixed, value })
     };
@@ -60,7 +60,7 @@ pub(super) fn elements(fit: &FitRecord) -> FitElements {
         add(&mut all, &CovarianceOf::Level(level.name.clone()), &level.states, &level.covariance);
     }
     for parameter in &fit.parameters {
-        let key = Key::Parameter(parameter.name.clone(), parameter.level.clone());
+        let key = ElementKey::Parameter(parameter.name.clone(), parameter.level.clone());
         all.insert(key, StandingRecord { fixed: parameter.fixed, value: parameter.estimate });
     }
     all
@@ -70,33 +70,36 @@ fn add(all: &mut FitElements, block: &CovarianceOf, states: &[String], covarianc
     for (i, (estimates, fixed)) in covariance.estimate.iter().zip(&covariance.fixed).enumerate().take(states.len()) {
         for (k, (&value, &fixed)) in estimates.iter().zip(fixed).enumerate().take(i + 1) {
             let (first, second) = (states[i].clone().min(states[k].clone()), states[i].clone().max(states[k].clone()));
-            all.insert(Key::Covariance(block.clone(), first, second), StandingRecord { fixed, value });
+            all.insert(ElementKey::Covariance(block.clone(), first, second), StandingRecord { fixed, value });
         }
     }
 }
 
 /// Elements of the means and regression coefficients, and whether they are fixed.
-pub(super) fn means(fit: &FitRecord) -> BTreeMap<Key, bool> {
+pub(super) fn means(fit: &FitRecord) -> BTreeMap<ElementKey, bool> {
     let mut all = BTreeMap::new();
     for phase in &fit.phases {
         for (state, &fixed) in phase.states.iter().zip(&phase.mean.fixed) {
-            all.insert(Key::Mean(phase.name.clone(), state.clone()), fixed);
+            all.insert(ElementKey::Mean(phase.name.clone(), state.clone()), fixed);
         }
         for regression in &phase.mean.regression {
-            all.insert(Key::Regression(phase.name.clone(), regression.state.clone(), regression.column.clone()), false);
+            all.insert(
+                ElementKey::Regression(phase.name.clone(), regression.state.clone(), regression.column.clone()),
+                false,
+            );
         }
     }
     all
 }
 
-fn mean_value(fit: &FitRecord, key: &Key) -> f64 {
+fn mean_value(fit: &FitRecord, key: &ElementKey) -> f64 {
     let phase = |name: &String| fit.phases.iter().find(|phase| phase.name == *name);
     let found = match key {
-        Key::Mean(name, state) => phase(name).and_then(|phase| {
+        ElementKey::Mean(name, state) => phase(name).and_then(|phase| {
             let place = phase.states.iter().position(|own| own == state)?;
             phase.mean.estimate.get(place).copied()
         }),
-        Key::Regression(name, state, column) => phase(name).and_then(|phase| {
+        ElementKey::Regression(name, state, column) => phase(name).and_then(|phase| {
             let mut all = phase.mean.regression.iter();
             Some(all.find(|own| own.state == *state && own.column == *column)?.estimate)
         }),
@@ -106,15 +109,17 @@ fn mean_value(fit: &FitRecord, key: &Key) -> f64 {
 }
 
 /// Name of an element; with its phase where there are several.
-pub(super) fn words(key: &Key, several: bool) -> String {
+pub(super) fn words(key: &ElementKey, several: bool) -> String {
     let of = |phase: &str, state: &str| if several { format!("{phase}.{state}") } else { state.to_owned() };
     match key {
-        Key::Mean(phase, state) => format!("mean[{}]", of(phase, state)),
-        Key::Regression(phase, state, column) => format!("mean[{}] on {column}", of(phase, state)),
-        Key::Covariance(CovarianceOf::Phase(phase), a, b) => format!("covariance[{}, {}]", of(phase, a), of(phase, b)),
-        Key::Covariance(CovarianceOf::Level(level), a, b) => format!("covariance[{level}.{a}, {level}.{b}]"),
-        Key::Parameter(name, None) => name.clone(),
-        Key::Parameter(name, Some(level)) => format!("{name}[{level}]"),
+        ElementKey::Mean(phase, state) => format!("mean[{}]", of(phase, state)),
+        ElementKey::Regression(phase, state, column) => format!("mean[{}] on {column}", of(phase, state)),
+        ElementKey::Covariance(CovarianceOf::Phase(phase), a, b) => {
+            format!("covariance[{}, {}]", of(phase, a), of(phase, b))
+        }
+        ElementKey::Covariance(CovarianceOf::Level(level), a, b) => format!("covariance[{level}.{a}, {level}.{b}]"),
+        ElementKey::Parameter(name, None) => name.clone(),
+        ElementKey::Parameter(name, Some(level)) => format!("{name}[{level}]"),
     }
 }
 
@@ -122,7 +127,7 @@ pub(super) fn words(key: &Key, several: bool) -> String {
 pub(super) fn differences(fits: &[&FitRecord]) -> Vec<DifferenceRecord> {
     let several = fits.iter().any(|fit| fit.phases.len() > 1);
     let all: Vec<FitElements> = fits.iter().map(|fit| elements(fit)).collect();
-    let mut keys: Vec<&Key> = all.iter().flat_map(FitElements::keys).collect();
+    let mut keys: Vec<&ElementKey> = all.iter().flat_map(FitElements::keys).collect();
     keys.sort_unstable();
     keys.dedup();
     let same = |a: &Option<StandingRecord>, b: &Option<StandingRecord>| match (a, b) {
@@ -130,7 +135,7 @@ pub(super) fn differences(fits: &[&FitRecord]) -> Vec<DifferenceRecord> {
         (None, None) => true,
         _ => false,
     };
-    let record = |key: &Key| {
+    let record = |key: &ElementKey| {
         let standing: Vec<Option<StandingRecord>> = all.iter().map(|own| own.get(key).copied()).collect();
         let differs = standing.iter().any(|one| !same(one, &standing[0]));
         differs.then(|| DifferenceRecord { element: words(key, several), standing })

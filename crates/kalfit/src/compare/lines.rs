@@ -14,7 +14,7 @@ pub struct LineRecord {
 }
 
 /// Beginnings of sentences on parameters, μ, Σ and groups, which are compared by other parts of a record.
-const ELSEWHERE: [&str; 9] = [
+const COMPARED_ELSEWHERE: [&str; 9] = [
     "tests: ",
     "parameter `",
     "order of ",
@@ -27,12 +27,12 @@ const ELSEWHERE: [&str; 9] = [
 ];
 
 /// Part of a sentence that is ignored: such a state has its variance fixed at zero, which is part of Σ.
-const COMMON: &str = ", one value common to all tests";
+const IGNORED_PART: &str = ", one value common to all tests";
 
 /// Sentences on states, measurements, steps and filters.
 pub(super) fn equations(fit: &FitRecord) -> Vec<String> {
-    let counts = |line: &&String| !ELSEWHERE.iter().any(|start| line.starts_with(start));
-    fit.model.iter().filter(counts).map(|line| line.replace(COMMON, "")).collect()
+    let counts = |line: &&String| !COMPARED_ELSEWHERE.iter().any(|start| line.starts_with(start));
+    fit.model.iter().filter(counts).map(|line| line.replace(IGNORED_PART, "")).collect()
 }
 
 /// Whether two models have the same equations; false where a record has none.
@@ -45,7 +45,7 @@ pub(super) fn same(a: &FitRecord, b: &FitRecord) -> bool {
 
 /// Whether all covariances are full, diagonal, in blocks or known, so that each element that is not fixed is free by
 /// itself.
-pub(super) fn is_plain(fit: &FitRecord) -> bool {
+pub(super) fn is_freely_structured(fit: &FitRecord) -> bool {
     let starts_plain = |kind: &str| {
         ["full", "diagonal", "blocks (", "known, ", "starts at "].iter().any(|plain| kind.starts_with(plain))
     };
@@ -58,7 +58,7 @@ pub(super) fn is_plain(fit: &FitRecord) -> bool {
 }
 
 /// Whether a value is an end of the range of a parameter.
-pub(super) fn is_end(fit: &FitRecord, parameter: &str, value: f64) -> bool {
+pub(super) fn is_range_end(fit: &FitRecord, parameter: &str, value: f64) -> bool {
     let start = format!("parameter `{parameter}`");
     let Some(line) = fit.model.iter().find(|line| line.starts_with(&start)) else { return value == 0.0 };
     line.split_once(": ").map_or("", |x| x.1).split(", ").any(|fact| {

@@ -118,10 +118,10 @@ pub fn compare_with(
     validated: &[(String, ValidatedRecord)],
 ) -> Result<ComparedRecord, CompareError> {
     let mut record = match fits {
-        [] if validated.len() > 1 => nothing(&validated[0].1),
+        [] if validated.len() > 1 => without_fits(&validated[0].1),
         _ => compare(fits)?,
     };
-    record.validated = validations::side_by_side(validated, &mut record.notes)?;
+    record.validated = validations::compare_all(validated, &mut record.notes)?;
     for own in record.validated.iter().filter(|own| own.observations != record.observations) {
         record.notes.push(format!(
             "`{}` is a fit of {} measured values, not of {}: its data are different",
@@ -132,7 +132,7 @@ pub fn compare_with(
 }
 
 /// A record without fits, for a comparison of validations alone.
-fn nothing(validated: &ValidatedRecord) -> ComparedRecord {
+fn without_fits(validated: &ValidatedRecord) -> ComparedRecord {
     ComparedRecord {
         schema: COMPARE_SCHEMA.to_owned(),
         kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),

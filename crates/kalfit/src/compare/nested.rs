@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::compare::elements::{CovarianceOf, FitElements, Key, elements, equal};
+use crate::compare::elements::{CovarianceOf, ElementKey, FitElements, elements, equal};
 use crate::compare::lines;
 use kalfit_record::FitRecord;
 
@@ -66,7 +66,7 @@ pub(super) fn all(fits: &[(String, FitRecord)], notes: &mut Vec<String>) -> Vec<
             let (small, large) = (&fits[null].1, &fits[alternative].1);
             let Some(restricted) = restricted((small, &own[null]), (large, &own[alternative])) else { continue };
             let lr = 2.0 * (large.log_likelihood - small.log_likelihood);
-            if small.converged && large.converged && lr < -slack(large) {
+            if small.converged && large.converged && lr < -rounding(large) {
                 notes.push(format!(
                     "`{}` seems to be nested in `{}` but has the higher log-likelihood, so no test is given",
                     fits[null].0, fits[alternative].0
@@ -80,7 +80,7 @@ pub(super) fn all(fits: &[(String, FitRecord)], notes: &mut Vec<String>) -> Vec<
 }
 
 /// Rounding error of twice a difference of log-likelihoods.
-fn slack(fit: &FitRecord) -> f64 {
+fn rounding(fit: &FitRecord) -> f64 {
     1e-6 * (1.0 + 1e-3 * fit.log_likelihood.abs())
 }
 
@@ -142,15 +142,20 @@ fn restricted(
     (small, own): (&FitRecord, &FitElements),
     (large, others): (&FitRecord, &FitElements),
 ) -> Option<NestedRestriction> {
-    let judged = |fit: &FitRecord, own: &FitElements| lines::is_plain(fit) && free(fit, own) == fit.free_parameters;
-    if !same_states(small, large) || !lines::same(small, large) || !judged(small, own) || !judged(large, others) {
+    let is_described =
+        |fit: &FitRecord, own: &FitElements| lines::is_freely_structured(fit) && free(fit, own) == fit.free_parameters;
+    if !same_states(small, large)
+        || !lines::same(small, large)
+        || !is_described(small, own)
+        || !is_described(large, others)
+    {
         return None;
     }
     let mut found = NestedRestriction::default();
     let keys = own.keys().chain(others.keys().filter(|key| !own.contains_key(key)));
-    for key in keys.filter(|key| !matches!(key, Key::Parameter(..))) {
+    for key in keys.filter(|key| !matches!(key, ElementKey::Parameter(..))) {
         // an absent element of these kinds adds nothing: it counts as fixed at zero
-        let absent = matches!(key, Key::Regression(..) | Key::Covariance(CovarianceOf::Level(_), ..));
+        let absent = matches!(key, ElementKey::Regression(..) | ElementKey::Covariance(CovarianceOf::Level(_), ..));
         let of = |all: &FitElements| match all.get(key) {
             Some(standing) => Some((standing.fixed, standing.value)),
             None => absent.then_some((true, 0.0)),
@@ -161,7 +166,7 @@ fn restricted(
             (true, true) if equal(a.1, b.1) => {}
             (true, false) => {
                 found.df += 1;
-                if matches!(key, Key::Covariance(_, i, k) if i == k) && a.1 == 0.0 {
+                if matches!(key, ElementKey::Covariance(_, i, k) if i == k) && a.1 == 0.0 {
                     found.ends.push(super::elements::words(key, small.phases.len() > 1));
                 }
             }
@@ -205,9 +210,11 @@ fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut N
             (true, false) => {
                 found.df += 1;
                 found.parameters += 1;
-                if lines::is_end(large, name, own.2) {
+                if lines::is_range_end(large, name, own.2) {
                     found.parameter_ends += 1;
-                    found.ends.push(super::elements::words(&Key::Parameter(name.to_owned(), level.clone()), false));
+                    found
+                        .ends
+                        .push(super::elements::words(&ElementKey::Parameter(name.to_owned(), level.clone()), false));
                 }
             }
             _ => return None,

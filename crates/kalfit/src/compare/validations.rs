@@ -35,7 +35,7 @@ pub struct ComparedValidation {
 ///
 /// # Errors
 /// A validation that is given twice.
-pub(super) fn side_by_side(
+pub(super) fn compare_all(
     all: &[(String, ValidatedRecord)],
     notes: &mut Vec<String>,
 ) -> Result<Vec<ComparedValidation>, CompareError> {
@@ -45,7 +45,7 @@ pub(super) fn side_by_side(
         }
     }
     let best = all.iter().max_by(|a, b| a.1.log_density.total_cmp(&b.1.log_density));
-    let mut beside = Vec::with_capacity(all.len());
+    let mut compared = Vec::with_capacity(all.len());
     for (name, own) in all {
         let differences = best.and_then(|(_, best)| differences(best, own));
         if let (None, Some((best, _))) = (&differences, best) {
@@ -53,7 +53,7 @@ pub(super) fn side_by_side(
                 "`{name}` and `{best}` did not predict the same values in the same folds, so their difference is not given. Give `kalfit validate` the same data and the same `--folds`, `--seed` or `--by`"
             ));
         }
-        beside.push(ComparedValidation {
+        compared.push(ComparedValidation {
             name: name.clone(),
             title: own.title.clone(),
             model_digest: own.model_digest.clone(),
@@ -66,7 +66,7 @@ pub(super) fn side_by_side(
             converged: own.converged && own.folds.iter().all(|fold| fold.converged),
         });
     }
-    Ok(beside)
+    Ok(compared)
 }
 
 /// How much better the best model predicts each test, where both predicted the same values in the same folds.

@@ -11,7 +11,7 @@ use kalfit_model::{Evidence, PhasedTest};
 use kalfit_record::{AllanPoint, CurveRecord};
 
 /// Largest number of values in a span.
-const MOST: usize = 100_000;
+const MOST_SPAN_VALUES: usize = 100_000;
 
 /// The records of one measurement.
 #[derive(Debug)]
@@ -104,7 +104,7 @@ impl CurveRequest<'_> {
         let pieces: Option<Vec<Vec<Vec<f64>>>> =
             records.map(|records| records.own.iter().map(|record| stretches(record, length)).collect());
         let longest = |pieces: &Vec<Vec<Vec<f64>>>| pieces.iter().flatten().map(Vec::len).max().unwrap_or(0);
-        let most = pieces.as_ref().map_or(MOST, |pieces| (longest(pieces) / 2).min(MOST));
+        let most = pieces.as_ref().map_or(MOST_SPAN_VALUES, |pieces| (longest(pieces) / 2).min(MOST_SPAN_VALUES));
         curve.tests = pieces.as_ref().map(|own| own.iter().filter(|test| test.iter().any(|one| one.len() > 1)).count());
         let pieces: Option<Vec<Vec<f64>>> = pieces.map(|pieces| pieces.into_iter().flatten().collect());
         let filter = match self.filter(phase, step, &mut curve.zero) {

@@ -15,7 +15,7 @@ mod units;
 
 use crate::datasheet::curve::{CurveRecords, CurveRequest};
 use crate::datasheet::figure::Reader;
-use crate::datasheet::noise::Sheet;
+use crate::datasheet::noise::EntryCollector;
 use kalfit_apply::export::ExportError;
 use kalfit_apply::export::bind::{Binder, columns_read};
 use kalfit_model::PhasedTest;
@@ -50,7 +50,7 @@ pub fn datasheet(
 ) -> Result<DatasheetRecord, ExportError> {
     population.check(model)?;
     check(model, source)?;
-    let asked = CurveRequest { model, alpha, population, at: source.at };
+    let request = CurveRequest { model, alpha, population, at: source.at };
     let (mut entries, mut allan) = (Vec::new(), Vec::new());
     for (at, phase) in model.phases.iter().enumerate() {
         let own = &phase.model;
@@ -59,17 +59,17 @@ pub fn datasheet(
         let known = source.record.map_or(&[][..], |record| &record.parameters);
         Binder::new((own, alpha), source.step, &fixed)?; // reports bad values of columns before anything is read
         let reader = Reader { model: own, alpha, at: &fixed, known };
-        let mut sheet = Sheet { phase: &phase.name, reader, entries: Vec::new() };
-        let mut usual = None;
+        let mut sheet = EntryCollector { phase: &phase.name, reader, entries: Vec::new() };
+        let mut usual_step = None;
         for m in 0..own.measurements.len() {
             let records = source.tests.map(|tests| CurveRecords::of((model, at), m, alpha, tests));
             let given = if own.clock.time.is_some() { source.step } else { Some(1.0) };
             let step = records.as_ref().map_or(given, |records| records.step);
-            usual = usual.or(step);
+            usual_step = usual_step.or(step);
             sheet.measurement(m, step)?;
-            allan.push(asked.curve(at, m, step, records.as_ref()));
+            allan.push(request.curve(at, m, step, records.as_ref()));
         }
-        (0..own.states.len()).try_for_each(|state| sheet.motion(state, usual))?;
+        (0..own.states.len()).try_for_each(|state| sheet.motion(state, usual_step))?;
         entries.append(&mut sheet.entries);
         entries.append(&mut start::entries(model, at, population, source.record));
     }
@@ -96,11 +96,11 @@ pub fn allan(
     tests: &[PhasedTest],
 ) -> Result<(Vec<CurveRecord>, Vec<String>), ExportError> {
     population.check(model)?;
-    let asked = CurveRequest { model, alpha, population, at: &[] };
+    let request = CurveRequest { model, alpha, population, at: &[] };
     let measured = |at: usize| (0..model.phases[at].model.measurements.len()).map(move |m| (at, m));
     let curve = |(at, m): (usize, usize)| {
         let records = CurveRecords::of((model, at), m, alpha, tests);
-        asked.curve(at, m, records.step, Some(&records))
+        request.curve(at, m, records.step, Some(&records))
     };
     let curves: Vec<CurveRecord> = (0..model.phases.len()).flat_map(measured).map(curve).collect();
     let notes = notes(&curves);

@@ -8,7 +8,7 @@ use kalfit_record::EntryRecord;
 
 /// Collects the entries of one phase.
 #[derive(Debug)]
-pub(super) struct Sheet<'a> {
+pub(super) struct EntryCollector<'a> {
     pub(super) phase: &'a str,
     pub(super) reader: Reader<'a>,
     pub(super) entries: Vec<EntryRecord>,
@@ -57,7 +57,7 @@ const TAU: NoiseMeaning = NoiseMeaning {
     definition: "correlation time of a state with finite memory: its correlation falls as exp(-t/tau), for second order as (1 + t/tau) exp(-t/tau)",
 };
 
-impl<'a> Sheet<'a> {
+impl<'a> EntryCollector<'a> {
     /// The white noise of a measurement, whose values are `step` apart.
     pub(super) fn measurement(&mut self, m: usize, step: Option<f64>) -> Result<(), ExportError> {
         let model = self.reader.model;
@@ -69,7 +69,7 @@ impl<'a> Sheet<'a> {
         let unit = ShownUnit::shown(measured_unit(model, m).as_deref());
         let timed = model.clock.time.is_some()
             && matches!(unit.quantity, UnitQuantity::Rate | UnitQuantity::Acceleration | UnitQuantity::Other);
-        let (said, factor, label) = if timed {
+        let (meaning, factor, label) = if timed {
             let (factor, label) = unit.white(model.clock.unit.as_deref());
             (
                 match unit.quantity {
@@ -88,7 +88,7 @@ impl<'a> Sheet<'a> {
             (true, Some(length)) => self.reader.figures(&of, step, &|v| factor * (v[0] * length).sqrt())?,
             (false, _) => self.reader.figures(&of, step, &|v| factor * v[0].sqrt())?,
         };
-        self.add(said, ("measurement", &measurement.name.clone()), &label, figures);
+        self.add(meaning, ("measurement", &measurement.name.clone()), &label, figures);
         Ok(())
     }
 
@@ -144,7 +144,7 @@ impl<'a> Sheet<'a> {
                     Some(length) => self.walk(i, noise_variance, step, &|v| (v[0] / length).sqrt()),
                     None => {
                         let figure = ShownFigure { varies_with: vec!["step".to_owned()], ..ShownFigure::default() };
-                        self.walked(i, vec![figure]);
+                        self.add_walk(i, vec![figure]);
                         Ok(())
                     }
                 }
@@ -177,12 +177,12 @@ impl<'a> Sheet<'a> {
         form: FigureForm<'_>,
     ) -> Result<(), ExportError> {
         let figures = self.reader.figures(&[noise], step, form)?;
-        self.walked(i, figures);
+        self.add_walk(i, figures);
         Ok(())
     }
 
     /// Adds a random walk whose density is known in the units of the model.
-    fn walked(&mut self, i: usize, mut figures: Vec<ShownFigure>) {
+    fn add_walk(&mut self, i: usize, mut figures: Vec<ShownFigure>) {
         let model = self.reader.model;
         let unit = ShownUnit::shown(model.states[i].unit.as_deref());
         let time = if model.clock.time.is_some() { model.clock.unit.as_deref() } else { Some("step") };
@@ -191,14 +191,14 @@ impl<'a> Sheet<'a> {
             figure.value = figure.value.map(|value| factor * value);
             figure.interval = figure.interval.map(|ends| ends.map(|end| end.map(|end| factor * end)));
         }
-        let said = match unit.quantity {
+        let meaning = match unit.quantity {
             UnitQuantity::Rate => &RATE,
             UnitQuantity::Acceleration => &ACCELERATION,
             UnitQuantity::Angle => &ANGLE,
             UnitQuantity::Velocity => &VELOCITY,
             _ => &WALK,
         };
-        self.add(said, ("state", &model.states[i].name.clone()), &label, figures);
+        self.add(meaning, ("state", &model.states[i].name.clone()), &label, figures);
     }
 
     /// The damping -2β of the rate of a second-order Gauss-Markov state and the noise 4β³σ² that drives it.
@@ -225,9 +225,15 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    fn add(&mut self, said: &NoiseMeaning, (kind, of): (&str, &str), unit: &Option<String>, figures: Vec<ShownFigure>) {
+    fn add(
+        &mut self,
+        meaning: &NoiseMeaning,
+        (kind, of): (&str, &str),
+        unit: &Option<String>,
+        figures: Vec<ShownFigure>,
+    ) {
         let entry = |figure: ShownFigure| EntryRecord {
-            name: said.name.to_owned(),
+            name: meaning.name.to_owned(),
             of: of.to_owned(),
             kind: kind.to_owned(),
             phase: self.phase.to_owned(),
@@ -236,7 +242,7 @@ impl<'a> Sheet<'a> {
             value: figure.value,
             unit: unit.clone(),
             interval95: figure.interval,
-            definition: said.definition.to_owned(),
+            definition: meaning.definition.to_owned(),
             from: figure.from,
             varies_with: figure.varies_with,
         };

@@ -78,13 +78,14 @@ impl Fit {
     }
 
     fn one_parameter(&self, name: &str, level: Option<&str>) -> Result<Figure, UnknownName> {
-        let shown = |name: &str, level: Option<&str>| level.map_or(name.to_owned(), |level| format!("{name}[{level}]"));
+        let full_name =
+            |name: &str, level: Option<&str>| level.map_or(name.to_owned(), |level| format!("{name}[{level}]"));
         let all = &self.record.parameters;
         let found = all.iter().find(|p| p.name == name && p.level.as_deref() == level);
         let unknown = || UnknownName {
             what: "parameter",
-            name: shown(name, level),
-            known: all.iter().map(|p| shown(&p.name, p.level.as_deref())).collect(),
+            name: full_name(name, level),
+            known: all.iter().map(|p| full_name(&p.name, p.level.as_deref())).collect(),
         };
         let ParameterRecord { estimate, std_error, interval95, .. } = found.ok_or_else(unknown)?;
         Ok(Figure { estimate: *estimate, std_error: *std_error, interval95: *interval95 })

@@ -6,7 +6,7 @@ use crate::dynamic;
 use crate::face::ensemble::Ensemble;
 use crate::face::error::EnsembleError;
 use crate::face::fit::{Fit, Options};
-use crate::face::second_look;
+use crate::face::with_innovations;
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Progress, Silent, Structure};
 use kalfit_filter::reduce::{Reductions, grouping};
@@ -40,19 +40,19 @@ impl Ensemble {
     /// # Errors
     /// As [`fit`](crate::fit); also options that cannot be combined.
     pub fn fit_with(&self, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
-        of_tests(self, options, progress)
+        fit_tests(self, options, progress)
     }
 }
 
 /// Reduces, estimates, infers and records; with free parameters, the search for them replaces the first two steps.
-fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
+fn fit_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
     let (model, labels, tests) = (ensemble.model(), ensemble.labels(), ensemble.tests());
     let slots = Slots::in_phases(model, labels, tests);
     let mut fit = if slots.is_empty() {
         let alpha = slots.alpha(model.shared(), &[]);
         let reductions = ensemble.reduce(&alpha)?;
         let grouping = grouping(model, tests).map_err(DynamicError::from)?.map(Arc::new);
-        let mut fit = of_reductions((model, &alpha), (reductions, grouping.as_ref()), options, progress)?;
+        let mut fit = fit_at_alpha((model, &alpha), (reductions, grouping.as_ref()), options, progress)?;
         fit.record.add_levels((model, labels), grouping.as_deref(), &fit.inference);
         fit
     } else {
@@ -84,7 +84,7 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
 }
 
 /// Estimates, infers and records, from reductions at a known α.
-pub(super) fn of_reductions(
+pub(super) fn fit_at_alpha(
     (model, alpha): (&PhasedModel, &Alpha),
     (reductions, grouping): (Reductions, Option<&Arc<Grouping>>),
     options: &Options,

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::face::error::EnsembleError;
 use crate::face::fit::{Fit, Options};
-use crate::face::flow::of_reductions;
+use crate::face::flow::fit_at_alpha;
 use kalfit_estimate::Silent;
 use kalfit_filter::reduce::{Plain, Reductions};
 use kalfit_model::{Alpha, PhasedModel};
@@ -53,5 +53,5 @@ pub fn fit_reductions(model: &PhasedModel, reductions: Reductions, options: &Opt
         let (test, found) = (other.test.to_owned(), other.data.len());
         return Err(EnsembleError::Dimension { test, found, expected, names: model.estimated_names() });
     }
-    of_reductions((model, &alpha), (reductions, None), options, &mut Silent)
+    fit_at_alpha((model, &alpha), (reductions, None), options, &mut Silent)
 }

@@ -55,8 +55,8 @@ impl Ensemble {
         let structure = Structure::of(model, &alpha, grouping.as_ref());
         let found = estimate::fit(&reductions, &structure, &estimate::Settings::default(), progress)?;
         let converged = found.stop == Stop::Certified;
-        let home = if converged { means(&alpha) } else { None };
-        let limits = infer::mean_limits(&found, &home.unwrap_or_default(), quantile, progress);
+        let combinations = if converged { means(&alpha) } else { None };
+        let limits = infer::mean_limits(&found, &combinations.unwrap_or_default(), quantile, progress);
         Ok(MeanProfiles { log_likelihood: found.log_likelihood, converged, limits })
     }
 }

@@ -7,7 +7,7 @@ mod fit;
 mod flow;
 mod matrices;
 mod mean_limits;
-mod second_look;
+mod with_innovations;
 
 pub use ensemble::Ensemble;
 pub use error::EnsembleError;

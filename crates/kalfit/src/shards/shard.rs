@@ -8,7 +8,7 @@ use crate::shards::search::refuse;
 use kalfit_estimate::{Silent, Structure, Summed};
 use kalfit_filter::reduce::{FilteredPhases, PhasedReducer, ReduceError, Reductions, grouping};
 use kalfit_filter::score::{Batching, Gradient, PhasedScorer};
-use kalfit_infer::counted;
+use kalfit_infer::observability_counts;
 use kalfit_model::remote::{Answer, Asked, Law, Question};
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{Grouping, Labels};
@@ -107,7 +107,7 @@ impl Shard {
         let ShardAtAlpha { summed, filtered, .. } = cached.as_mut().expect("it was set");
         match &asked.question {
             Question::Score { law } => self.score(&asked.values, (summed, filtered.as_ref()), law),
-            Question::Observability { frame } => match counted(summed, frame) {
+            Question::Observability { frame } => match observability_counts(summed, frame) {
                 Some(counts) => Ok(Some(counts)),
                 None => Err(ShardError::Question { what: "the number of states" }),
             },

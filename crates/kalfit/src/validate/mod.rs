@@ -72,7 +72,7 @@ pub struct LeftOut {
 /// Probabilities of the central intervals in which innovations are counted.
 pub const LEVELS: [f64; 3] = [0.5, 0.9, 0.95];
 /// Half widths of the intervals with probabilities `LEVELS`, in standard deviations.
-const WIDTHS: [f64; 3] = [0.674_489_750_196_082, 1.644_853_626_951_472, 1.959_963_984_540_054];
+const HALF_WIDTHS: [f64; 3] = [0.674_489_750_196_082, 1.644_853_626_951_472, 1.959_963_984_540_054];
 
 /// Fits the model without each fold in turn, and applies the fit to that fold.
 ///
@@ -105,14 +105,14 @@ pub fn validate(
         tests: Vec::new(),
     };
     let mut tests: Vec<Option<LeftOut>> = vec![None; ensemble.tests().len()];
-    let model = started(&whole);
-    let alone = alone(ensemble, &whole, folds, progress);
+    let model = with_start_values(&whole);
+    let populations_without = populations_without(ensemble, &whole, folds, progress);
     for fold in 0..folds.count() {
         if progress.stops() {
             return Err(ValidateError::Interrupted);
         }
         let (inside, others) = folds.split(fold);
-        let values = match alone.as_ref().and_then(|all| all[inside[0]].clone()) {
+        let values = match populations_without.as_ref().and_then(|all| all[inside[0]].clone()) {
             Some(population) => (whole.alpha.clone(), population, true),
             None => without(&model, ensemble, &others, &options, progress)?,
         };
@@ -132,7 +132,7 @@ pub fn validate(
 }
 
 /// The model with the values of the fit to all tests as start values.
-fn started(whole: &Fit) -> PhasedModel {
+fn with_start_values(whole: &Fit) -> PhasedModel {
     let mut model = whole.model.clone();
     for phase in model.models_mut() {
         for (parameter, level) in phase.parameters.iter_mut().zip(&whole.alpha.values) {
@@ -148,7 +148,7 @@ fn started(whole: &Fit) -> PhasedModel {
 
 /// The population without each test, where every fold is one test and α is known; `None` otherwise, or once `progress`
 /// stops.
-fn alone(
+fn populations_without(
     ensemble: &Ensemble,
     whole: &Fit,
     folds: &Folds,
@@ -191,7 +191,7 @@ fn applied(
     let (said, observations) = (applied.said()?, applied.observations());
     let left = |(own, posterior): (&Option<Innovations>, kalfit_infer::Posterior<'_>)| {
         let series = own.as_ref().map_or(&[][..], |own| &own.series);
-        let within = WIDTHS.map(|width| series.iter().filter(|one| one.standardised.abs() <= width).count());
+        let within = HALF_WIDTHS.map(|width| series.iter().filter(|one| one.standardised.abs() <= width).count());
         LeftOut { within, innovations: series.len(), distance: posterior.distance }
     };
     let each = said.innovations.iter().zip(said.posteriors.iter()).map(left).collect();

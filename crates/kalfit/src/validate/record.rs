@@ -184,7 +184,7 @@ impl ValidatedRecord {
             of: model.levels.first().map_or("test", |level| level.name.as_str()).to_owned(),
             folds: (0..folds.count()).map(fold).collect(),
             log_density: densities.iter().sum(),
-            std_error: of_sum(&densities),
+            std_error: std_error_of_sum(&densities),
             observations: found.pieces.iter().map(|piece| piece.observations).sum(),
             fitted: found.fitted,
             converged: found.converged,
@@ -208,8 +208,8 @@ impl ValidatedRecord {
 
     /// Whether every fit is certified.
     pub fn is_certified(&self) -> bool {
-        let mut theirs = self.against.iter().flat_map(|other| &other.converged);
-        self.converged && self.folds.iter().all(|fold| fold.converged) && theirs.all(|one| *one)
+        let mut other_fits = self.against.iter().flat_map(|other| &other.converged);
+        self.converged && self.folds.iter().all(|fold| fold.converged) && other_fits.all(|one| *one)
     }
 
     /// Adds the comparison with another model.
@@ -220,8 +220,8 @@ impl ValidatedRecord {
         let of: BTreeMap<&str, (f64, usize)> =
             other.pieces.iter().map(|piece| (piece.name.as_str(), (piece.log_density, piece.observations))).collect();
         let own: BTreeMap<&str, ()> = self.pieces.iter().map(|piece| (piece.name.as_str(), ())).collect();
-        if let Some(strange) = of.keys().find(|name| !own.contains_key(*name)) {
-            return Err(NotComparable::Names { found: format!("`{strange}`") });
+        if let Some(unmatched) = of.keys().find(|name| !own.contains_key(*name)) {
+            return Err(NotComparable::Names { found: format!("`{unmatched}`") });
         }
         let mut differences = Vec::with_capacity(self.pieces.len());
         for piece in &mut self.pieces {
@@ -236,7 +236,7 @@ impl ValidatedRecord {
             differences.push(piece.log_density - density);
         }
         let difference: f64 = differences.iter().sum();
-        let std_error = of_sum(&differences).filter(|error| *error > 0.0);
+        let std_error = std_error_of_sum(&differences).filter(|error| *error > 0.0);
         let law = StudentsT::new(0.0, 1.0, (differences.len().max(2) - 1) as f64).ok();
         let p_value = std_error.and_then(|error| Some(2.0 * law?.sf((difference / error).abs())));
         self.against = Some(AgainstRecord {
@@ -253,7 +253,7 @@ impl ValidatedRecord {
 }
 
 /// Standard error of the sum of n values, from their scatter: √n s.
-fn of_sum(values: &[f64]) -> Option<f64> {
+fn std_error_of_sum(values: &[f64]) -> Option<f64> {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let squares: f64 = values.iter().map(|value| (value - mean) * (value - mean)).sum();

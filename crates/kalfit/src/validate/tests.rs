@@ -58,8 +58,8 @@ fn compare(found: &Validation, expected: &[(String, f64)], tolerance: f64) {
     assert_eq!(found.pieces.len(), expected.len());
     for (piece, (name, density)) in found.pieces.iter().zip(expected) {
         assert_eq!(&piece.name, name);
-        let apart = (piece.log_density - density).abs();
-        assert!(apart < tolerance, "{name}: {} against {density}", piece.log_density);
+        let difference = (piece.log_density - density).abs();
+        assert!(difference < tolerance, "{name}: {} against {density}", piece.log_density);
     }
 }
 

@@ -156,7 +156,8 @@ impl BatchWorkspace {
         values.take(layout, (reducer.preparer(), tests));
         for (lane, skeleton) in group.iter().enumerate() {
             // a test of mostly equal steps is scanned by itself
-            values.valid[lane] &= skeleton.len() <= MAX_UNSCANNED_STEPS || !values.is_long(layout, lane, skeleton.len());
+            values.valid[lane] &=
+                skeleton.len() <= MAX_UNSCANNED_STEPS || !values.is_long(layout, lane, skeleton.len());
         }
     }
 
@@ -175,7 +176,12 @@ impl BatchWorkspace {
 }
 
 /// Sorts tests by shape and calls `visit` with each group that shares a batch of at most `lanes` tests.
-fn each_group(preparer: &Preparer, mut remaining: &mut [Skeleton], lanes: usize, mut visit: impl FnMut(&mut [Skeleton])) {
+fn each_group(
+    preparer: &Preparer,
+    mut remaining: &mut [Skeleton],
+    lanes: usize,
+    mut visit: impl FnMut(&mut [Skeleton]),
+) {
     remaining.sort_by(Skeleton::by_shape);
     while !remaining.is_empty() {
         let (group, rest) = remaining.split_at_mut(batch_len(preparer, remaining, lanes));

@@ -39,12 +39,17 @@ impl BatchValues {
                 let (range, states) = (layout.terms(line), design.terms(line).0);
                 let h = &coefficients[range.start * lanes..range.end * lanes];
                 let [noise, measured] = [noise, &*layout.measured].map(|all| &all[line * lanes..][..*lanes]);
-                for (lane, identity) in design_digests.iter_mut().enumerate().filter(|(lane, _)| measured[*lane] != 0.0) {
+                for (lane, identity) in design_digests.iter_mut().enumerate().filter(|(lane, _)| measured[*lane] != 0.0)
+                {
                     let h = h.chunks_exact(*lanes).map(|h| h[lane]);
                     identity.line(states.iter().copied().zip(h), noise[lane]);
                 }
             }
-            design_digests.iter_mut().zip(steps).filter(|(_, steps)| k < **steps).for_each(|(identity, _)| identity.end(1));
+            design_digests
+                .iter_mut()
+                .zip(steps)
+                .filter(|(_, steps)| k < **steps)
+                .for_each(|(identity, _)| identity.end(1));
         }
         design_digests.iter_mut().map(DesignDigest::finish).collect()
     }

@@ -35,7 +35,8 @@ impl BatchValues {
         self.batch_filter.design_batch.with_ends = reducer.wants_ends();
         self.batch_filter.run(&layout.design, own.len(), scratch);
         for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
-            let Some((factor, outcome, end)) = self.lane_result(lane, (layout, own.observations), reducer, scratch) else {
+            let Some((factor, outcome, end)) = self.lane_result(lane, (layout, own.observations), reducer, scratch)
+            else {
                 self.valid[lane] = false;
                 found.exceptional.push(number);
                 continue;
@@ -73,7 +74,13 @@ impl BatchValues {
     }
 
     /// The last state of the test in a lane; `None` if that calls for square-root arrays.
-    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, scratch: &DataWorkspace) -> Option<TerminalState> {
+    fn end(
+        &self,
+        lane: usize,
+        layout: &BatchLayout,
+        reducer: &Reducer,
+        scratch: &DataWorkspace,
+    ) -> Option<TerminalState> {
         let states = &reducer.preparer().order.states;
         let end = self.batch_filter.design_batch.end((lane, layout.lanes), states)?;
         Some(TerminalState::new(Arc::new(end), states, self.batch_filter.block.last(lane, scratch)))

@@ -95,7 +95,11 @@ impl DataBlock {
     }
 
     /// The innovations of the test in a lane, as many as the longest test of the block has.
-    pub(crate) fn innovations<'a>(&self, lane: usize, scratch: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
+    pub(crate) fn innovations<'a>(
+        &self,
+        lane: usize,
+        scratch: &'a DataWorkspace,
+    ) -> impl Iterator<Item = f64> + use<'a> {
         scratch.e.iter().skip(lane).step_by(self.width.lanes()).copied()
     }
 

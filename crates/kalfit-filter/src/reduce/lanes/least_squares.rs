@@ -130,7 +130,8 @@ fn equal<T: Lanes, N: Numbers<T>>(
     let mut total = T::splat(0.0);
     for row in rows.start..rows.end.min(rows.start + width) {
         let (weight, sensitivities) = (numbers.gains(row).0, numbers.sensitivities(row));
-        let (remainder, squares) = sum_and_squares(e, (row..rows.end, width), remainder(sensitivities, xi, T::splat(0.0)));
+        let (remainder, squares) =
+            sum_and_squares(e, (row..rows.end, width), remainder(sensitivities, xi, T::splat(0.0)));
         total = squares.fma(weight, total);
         add(sensitivities, remainder * weight, sum);
     }

@@ -197,8 +197,15 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     for (at_run, run) in design.runs.iter().enumerate() {
         if N::CAN_SCAN && !L::OBSERVES_EVERY_ROW && design.is_long(run.count) {
             let (x, y) = (&mut *state.x, &mut *state.y);
-            let long =
-                StretchScan { numbers, design, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut scratch.e };
+            let long = StretchScan {
+                numbers,
+                design,
+                stretch: design.stretch(at_run),
+                values: data.values,
+                x,
+                y,
+                e: &mut scratch.e,
+            };
             if let Some(square) = T::apart(long) {
                 state.square = state.square + square;
                 (line, row, step) = (run.lines, run.rows, run.steps);

@@ -2,7 +2,7 @@
 
 use crate::reduce::dynamics::{Component, Dynamics, matrices};
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::motion::{InputSource, EntrySource, MotionPlan, append_flow};
+use crate::reduce::motion::{EntrySource, InputSource, MotionPlan, append_flow};
 use crate::reduce::subject::{Fault, Subject};
 use kalfit_algebra::exponential::{flow_adjoint, scalar_adjoint};
 

@@ -6,7 +6,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes, MOST, Width};
 
 use crate::reduce::dynamics::{Component, Dynamics, Table};
 use crate::reduce::lanes::BatchColumns;
-use crate::reduce::motion::{InputSource, EntrySource, MotionPlan, Moves, append_flow, check_noise};
+use crate::reduce::motion::{EntrySource, InputSource, MotionPlan, Moves, append_flow, check_noise};
 use kalfit_algebra::exponential::scalar_flows;
 
 /// The transitions that lead to the steps of tests in lanes: transition t of the test in a lane is at t × lanes + lane.

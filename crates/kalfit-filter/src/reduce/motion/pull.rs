@@ -5,7 +5,7 @@ use kalfit_lanes::{Lanes, MOST};
 use crate::reduce::dynamics::{Component, Dynamics};
 use crate::reduce::motion::backward::{Evaluated, component_backward};
 use crate::reduce::motion::fill::{MotionColumns, SlotValues, Transitions};
-use crate::reduce::motion::{InputSource, EntrySource, MotionPlan, Single};
+use crate::reduce::motion::{EntrySource, InputSource, MotionPlan, Single};
 use kalfit_algebra::exponential::{scalar_flow, scalar_slope};
 
 impl Component {
@@ -183,7 +183,8 @@ impl MotionPullback<'_> {
     /// Adds the pending sum over transitions of one length in a lane.
     fn flush<T: Lanes>(&self, lane: usize, out: &mut MotionBars<T>) {
         let Some(place) = out.last[lane].take() else { return };
-        for CoupledPullback { component, offset, .. } in self.coupled.iter().filter(|coupled| coupled.is_free && coupled.steady)
+        for CoupledPullback { component, offset, .. } in
+            self.coupled.iter().filter(|coupled| coupled.is_free && coupled.steady)
         {
             let range = *offset..offset + 3 * component.states.len().pow(2);
             let bars: Vec<f64> = out.pending[range.clone()].iter().map(|bar| bar.lane(lane)).collect();

@@ -86,7 +86,8 @@ impl Conditioned {
         let W = scaled(&DMatrix::from_fn(r, m, |k, i| U[(i, k)] / whole.values[k]));
         let certain = scaled(&whole.left.columns(r, m - r).transpose());
         let (WS, SP) = (&W * S, S * &entry.root);
-        let relations = Relations { rows: &certain, rounding_deviation: rounding_deviation(&whole, r, &deviation), WS: &WS };
+        let relations =
+            Relations { rows: &certain, rounding_deviation: rounding_deviation(&whole, r, &deviation), WS: &WS };
         let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } = relations.taken(S, entry)?;
         let C = &W * &SP * &V_B;
         let G = &W * &SP * &V_0;
@@ -174,7 +175,9 @@ struct Relations<'a> {
 
 impl Relations<'_> {
     fn taken(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<CertainInformation, ExactCombination> {
-        let rounding = |norms: &[f64]| DMatrix::from_fn(self.rounding_deviation.len(), norms.len(), |i, j| self.rounding_deviation[i] * norms[j]);
+        let rounding = |norms: &[f64]| {
+            DMatrix::from_fn(self.rounding_deviation.len(), norms.len(), |i, j| self.rounding_deviation[i] * norms[j])
+        };
         let norms = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
         let (NS, E) = (clean(self.rows, S, &rounding(&norms(self.WS))), entry.entering);
         // the law of η, which is white, informs of it as well

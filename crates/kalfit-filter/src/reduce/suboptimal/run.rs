@@ -124,7 +124,8 @@ impl FilterRunner {
         let shift = self.shift(test, scratch).map_err(named)?;
         self.pass(class, shift.as_deref(), scratch);
         let estimates = self.estimates(class, test, scratch);
-        let all_finite = estimates.estimates.iter().chain(&estimates.offsets).chain(&estimates.drift).all(|x| x.is_finite());
+        let all_finite =
+            estimates.estimates.iter().chain(&estimates.offsets).chain(&estimates.drift).all(|x| x.is_finite());
         if all_finite { Ok(estimates) } else { Err(named(Fault::new(Subject::Test, ReduceErrorKind::NotFinite))) }
     }
 

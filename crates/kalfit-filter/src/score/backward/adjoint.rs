@@ -209,7 +209,13 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂φ, after r and ρ have become φ'r and φ'ρ, and N has become Nφ.
     #[inline(always)]
-    fn phi_adjoint(&mut self, pattern: &Pattern, before_transition: FilterSnapshot<'_, T>, (r, c): (usize, usize), bar: &mut [T]) {
+    fn phi_adjoint(
+        &mut self,
+        pattern: &Pattern,
+        before_transition: FilterSnapshot<'_, T>,
+        (r, c): (usize, usize),
+        bar: &mut [T],
+    ) {
         let Adjoint { r: adjoint, rho, N, before, smoothed, .. } = self;
         let (adjoint_before, rho_before) = before.split_at(adjoint.len());
         // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; the other states do not change

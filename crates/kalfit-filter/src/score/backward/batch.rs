@@ -9,7 +9,7 @@ use crate::reduce::{
     DataBlock, DataView, Design, DesignBatch, Entries, Numbers, SideBySide, TransitionView, at as number_at, innovation,
 };
 use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
-use crate::score::backward::filtered::{InitialState, FilterSnapshot, FilteredMoments};
+use crate::score::backward::filtered::{FilterSnapshot, FilteredMoments, InitialState};
 use crate::score::backward::input::{AdjointsWanted, TerminalAdjoint};
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 use crate::score::backward::sink::TransitionAdjoint;
@@ -123,7 +123,15 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
     fn new(numbers: BatchNumbers<'a>, posterior: PosteriorRoot<'a, T>) -> BatchPass<'a, T> {
         let (n, r) = (posterior.frame.n, posterior.frame.r);
         let (e, stride) = (Vec::with_capacity(numbers.shape.rows()), n + r * r + n * posterior.columns);
-        BatchPass { numbers, posterior, now: FilteredMoments::default(), e, left: Vec::new(), before: Vec::new(), stride }
+        BatchPass {
+            numbers,
+            posterior,
+            now: FilteredMoments::default(),
+            e,
+            left: Vec::new(),
+            before: Vec::new(),
+            stride,
+        }
     }
 
     /// The forward and the backward pass over all steps.

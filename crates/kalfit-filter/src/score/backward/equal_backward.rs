@@ -220,7 +220,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         bar.h.clear();
         if input.wanted.equation {
             bar.h.extend(sums.h.iter().zip(&data.h).map(|(design, data)| design + data));
-            bar.h.extend((N..input.design.frame.n).map(|s| constant_state_adjoint(&work.now, s, data.u, &sums.upsilon)));
+            bar.h
+                .extend((N..input.design.frame.n).map(|s| constant_state_adjoint(&work.now, s, data.u, &sums.upsilon)));
         }
         let Some(transition) = steps.stretch.transition else { return };
         let (pattern, bar) = (&transition.pattern, &mut work.moved);

@@ -168,7 +168,12 @@ impl<T: Lanes> DataBackwardState<T> {
     }
 
     #[inline(always)]
-    fn step_forward(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, (now, input): (&mut Cursor, &mut usize)) {
+    fn step_forward(
+        &mut self,
+        shared: &ClassShared<'_>,
+        step: &DesignStep<'_>,
+        (now, input): (&mut Cursor, &mut usize),
+    ) {
         let frame = &*shared.design.frame;
         let (n, r) = (frame.n, frame.r);
         if let Some(transition) = step.transition {
@@ -317,7 +322,8 @@ impl<T: Lanes> DataBackwardState<T> {
         let (n, r) = (self.x.len(), K.len());
         for entry in response.entries(&own.h) {
             let P = shared.record.before.get((representative_row * r + entry.i) * r..).unwrap_or(&[]);
-            let smoothed = self.smoothed(self.before[representative_row * n + entry.i], (entry.i < r).then_some(&P[..r]));
+            let smoothed =
+                self.smoothed(self.before[representative_row * n + entry.i], (entry.i < r).then_some(&P[..r]));
             self.add(response, entry, u * smoothed);
         }
     }

@@ -55,7 +55,8 @@ impl Scorer<'_> {
             let input = zero_data.input((&work.design, gains), wanted);
             input.cut(backward, &mut PullbackSink { adjoints, test: first, work });
             let representative_steps: Vec<usize> = backward.representative_steps().collect();
-            let pays_off = adjoints.adjoint_count(work) * representative_steps.len() <= tests.len() * work.design.steps();
+            let pays_off =
+                adjoints.adjoint_count(work) * representative_steps.len() <= tests.len() * work.design.steps();
             if !pays_off || !is_within_limits(&work.design, &representative_steps, wanted) {
                 return Ok(None);
             }
@@ -115,7 +116,17 @@ impl ZeroData {
 
     fn input<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> BackwardInput<'a> {
         let ZeroData { start, inputs, values, moments, ending } = self;
-        BackwardInput { design, gains, start, inputs, values, zero_data: true, moments, ending: ending.as_ref(), wanted }
+        BackwardInput {
+            design,
+            gains,
+            start,
+            inputs,
+            values,
+            zero_data: true,
+            moments,
+            ending: ending.as_ref(),
+            wanted,
+        }
     }
 }
 

@@ -68,10 +68,13 @@ impl PhasedScorer<'_> {
         } else {
             numbers.par_chunks(TESTS_PER_TASK).flat_map_iter(begin).collect()
         };
-        let Some(mut member_start) = member_start.into_iter().collect::<Result<Option<Vec<MemberStart>>, ReduceError>>()? else {
+        let Some(mut member_start) =
+            member_start.into_iter().collect::<Result<Option<Vec<MemberStart>>, ReduceError>>()?
+        else {
             return Ok(None);
         };
-        let mut scores: Vec<Gradient> = member_start.iter_mut().map(|member_start| std::mem::take(&mut member_start.carry_gradient)).collect();
+        let mut scores: Vec<Gradient> =
+            member_start.iter_mut().map(|member_start| std::mem::take(&mut member_start.carry_gradient)).collect();
         for (at, smooth) in like.iter().enumerate() {
             if self.reducer.rows_of(at, &of.tests[first]).is_none() {
                 continue;

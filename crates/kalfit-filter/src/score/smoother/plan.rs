@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::reduce::same_bits;
-use crate::score::smoother::{PhaseLaw, PhaseLaws, join_columns, inherited, terminal};
+use crate::score::smoother::{PhaseLaw, PhaseLaws, inherited, join_columns, terminal};
 use kalfit_algebra::{compressed, log_determinant, posterior_root, whitened, whitener};
 use kalfit_model::PhaseReduction;
 use kalfit_model::unpack;

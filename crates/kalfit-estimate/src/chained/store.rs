@@ -10,7 +10,7 @@ use crate::chained::{ChainShape, ChainedClass, Packed};
 #[derive(Debug, Clone)]
 pub enum ChainStore {
     /// The class is stored by itself.
-    Apart(Arc<ChainedClass>),
+    Single(Arc<ChainedClass>),
     /// The class is in this lane of a pack.
     Lane(Arc<Packed>, usize),
 }
@@ -19,7 +19,7 @@ impl ChainStore {
     /// The class, unpacked if it is in a lane.
     pub fn chained(&self) -> Cow<'_, ChainedClass> {
         match self {
-            ChainStore::Apart(chained) => Cow::Borrowed(chained),
+            ChainStore::Single(chained) => Cow::Borrowed(chained),
             ChainStore::Lane(packed, lane) => Cow::Owned(packed.chained(*lane)),
         }
     }
@@ -27,19 +27,19 @@ impl ChainStore {
     /// The sizes of the class's matrices.
     fn sizes(&self) -> &ChainShape {
         match self {
-            ChainStore::Apart(chained) => &chained.shape,
+            ChainStore::Single(chained) => &chained.shape,
             ChainStore::Lane(packed, _) => packed.shape(),
         }
     }
 
     /// Shape of the class; `None` where it needs square-root arithmetic, and so cannot be packed.
     pub(crate) fn shape(&self) -> Option<Cow<'_, ChainShape>> {
-        (!self.is_careful()).then(|| Cow::Borrowed(self.sizes()))
+        (!self.is_by_rotations()).then(|| Cow::Borrowed(self.sizes()))
     }
 
     /// Whether the class needs square-root arithmetic.
-    pub(crate) fn is_careful(&self) -> bool {
-        matches!(self, ChainStore::Apart(chained) if chained.careful)
+    pub(crate) fn is_by_rotations(&self) -> bool {
+        matches!(self, ChainStore::Single(chained) if chained.needs_rotations)
     }
 
     /// Number of coordinates that enter each phase of the class's tests.
@@ -59,21 +59,21 @@ pub(crate) fn grouped<'a>(
     shapes: impl Iterator<Item = (usize, Option<Cow<'a, ChainShape>>)>,
     lanes: usize,
 ) -> Vec<(Arc<ChainShape>, Vec<usize>)> {
-    let mut waiting: Vec<(Arc<ChainShape>, Vec<usize>)> = Vec::new();
+    let mut open_groups: Vec<(Arc<ChainShape>, Vec<usize>)> = Vec::new();
     let mut full = Vec::new();
     for (number, shape) in shapes {
         let Some(shape) = shape else { continue };
-        let place = waiting.iter().position(|(alike, _)| **alike == *shape);
+        let place = open_groups.iter().position(|(shared_shape, _)| **shared_shape == *shape);
         let place = place.unwrap_or_else(|| {
-            waiting.push((Arc::new(shape.into_owned()), Vec::new()));
-            waiting.len() - 1
+            open_groups.push((Arc::new(shape.into_owned()), Vec::new()));
+            open_groups.len() - 1
         });
-        let (alike, numbers) = &mut waiting[place];
+        let (shared_shape, numbers) = &mut open_groups[place];
         numbers.push(number);
         if numbers.len() == lanes {
-            full.push((alike.clone(), std::mem::take(numbers)));
+            full.push((shared_shape.clone(), std::mem::take(numbers)));
         }
     }
-    full.extend(waiting.into_iter().filter(|(_, numbers)| !numbers.is_empty()));
+    full.extend(open_groups.into_iter().filter(|(_, numbers)| !numbers.is_empty()));
     full
 }

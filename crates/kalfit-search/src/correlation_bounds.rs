@@ -26,11 +26,11 @@ const INSIDE: f64 = 0.95;
 
 /// All covariances of noises that are sought as parts of their bounds.
 #[derive(Debug, Clone, Default)]
-pub struct Edges(Vec<Edge>);
+pub struct CorrelationBounds(Vec<CorrelationBound>);
 
 /// A covariance of noises that is sought as a part of its bound, the edge.
 #[derive(Debug, Clone)]
-struct Edge {
+struct CorrelationBound {
     slot: usize,
     variances: [Expression; 2],
     /// The factor f of the parameter c.
@@ -39,21 +39,23 @@ struct Edge {
 }
 
 /// The edge e and its derivatives by the other values.
-struct EdgeValue {
+struct BoundValue {
     slot: usize,
     edge: f64,
     slopes: Gradient,
 }
 
-impl Edges {
+impl CorrelationBounds {
     /// The covariances of a model that have no given bounds and occur nowhere else.
-    pub(crate) fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest]) -> Edges {
+    pub(crate) fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest]) -> CorrelationBounds {
         let parameters = &model.shared().parameters;
         let open = |&p: &usize| {
             let parameter = &parameters[p];
             slots.common(p).is_some() && !parameter.positive && parameter.lower.is_none() && parameter.upper.is_none()
         };
-        Edges((0..parameters.len()).filter(open).filter_map(|p| Edge::of(model, slots, tests, p)).collect())
+        CorrelationBounds(
+            (0..parameters.len()).filter(open).filter_map(|p| CorrelationBound::of(model, slots, tests, p)).collect(),
+        )
     }
 
     /// Bounds the coordinate of each covariance by -1 and 1.
@@ -109,7 +111,8 @@ impl Edges {
 
     /// Slots of the covariances of noises whose variance depends on a parameter.
     pub(crate) fn beside(&self, parameter: usize) -> Vec<usize> {
-        let of = |edge: &&Edge| edge.variances.iter().any(|variance| variance.exponent(parameter) != Some(0.0));
+        let of =
+            |edge: &&CorrelationBound| edge.variances.iter().any(|variance| variance.exponent(parameter) != Some(0.0));
         self.0.iter().filter(of).map(|edge| edge.slot).collect()
     }
 
@@ -152,8 +155,8 @@ impl Edges {
     }
 }
 
-impl Edge {
-    fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest], parameter: usize) -> Option<Edge> {
+impl CorrelationBound {
+    fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest], parameter: usize) -> Option<CorrelationBound> {
         let here = |expression: &Expression| expression.exponent(parameter) != Some(0.0);
         let mut found = None;
         for (at, phase) in model.phases.iter().enumerate() {
@@ -179,7 +182,7 @@ impl Edge {
             return None;
         }
         let rows = rows(&all, tests.iter().filter_map(|test| test.phases.get(at)))?;
-        Some(Edge { slot: slots.common(parameter)?, variances, factor, rows })
+        Some(CorrelationBound { slot: slots.common(parameter)?, variances, factor, rows })
     }
 
     /// The least edge and the row that has it; `None` where no row has the covariance.
@@ -195,8 +198,8 @@ impl Edge {
         all.reduce(|least, other| if other.0 < least.0 { other } else { least })
     }
 
-    fn at(&self, alpha: &Alpha, slots: &Slots) -> EdgeValue {
-        let none = EdgeValue { slot: self.slot, edge: 0.0, slopes: Gradient::new() };
+    fn at(&self, alpha: &Alpha, slots: &Slots) -> BoundValue {
+        let none = BoundValue { slot: self.slot, edge: 0.0, slopes: Gradient::new() };
         let Some((edge, row)) = self.least(alpha).filter(|(edge, _)| *edge > 0.0) else { return none };
         let scope = self.scope(row, alpha);
         let (mut slopes, mut tape) = (Gradient::new(), Tape::default());
@@ -208,7 +211,7 @@ impl Edge {
                 }
             });
         }
-        EdgeValue { edge, slopes, ..none }
+        BoundValue { edge, slopes, ..none }
     }
 
     fn scope<'a>(&'a self, row: usize, alpha: &'a Alpha) -> Scope<'a> {
@@ -250,21 +253,21 @@ fn known<'a>(
 }
 
 /// The covariance of two noises, with their variances.
-struct CrossNoise<'a> {
+struct NoisePair<'a> {
     covariance: &'a Expression,
     variances: [&'a Expression; 2],
 }
 
-fn entries(model: &Model) -> Vec<CrossNoise<'_>> {
+fn entries(model: &Model) -> Vec<NoisePair<'_>> {
     let noise = |state: usize| model.states[state].motion.noise_variance();
     let measured = model.noise_covariance.iter().map(|(i, j, covariance)| {
         let of = |m: &usize| &model.measurements[*m].noise_variance;
-        Some(CrossNoise { covariance, variances: [of(i), of(j)] })
+        Some(NoisePair { covariance, variances: [of(i), of(j)] })
     });
     let moved = model
         .process_noise_covariance
         .iter()
-        .map(|(i, j, covariance)| Some(CrossNoise { covariance, variances: [noise(*i)?, noise(*j)?] }));
+        .map(|(i, j, covariance)| Some(NoisePair { covariance, variances: [noise(*i)?, noise(*j)?] }));
     measured.chain(moved).flatten().collect()
 }
 
@@ -330,7 +333,7 @@ mod tests {
     #[test]
     fn a_covariance_is_a_part_of_what_it_may_be_and_so_are_its_slopes() {
         let (model, slots, tests) = instruments(3.0 * name("c"));
-        let edges = Edges::of(&model, &slots, &tests);
+        let edges = CorrelationBounds::of(&model, &slots, &tests);
         assert!(edges.has(2) && !edges.has(0));
         let alpha = |values: &[f64]| slots.alpha(model.shared(), values);
         let sought = [0.5, 0.3, 0.8];
@@ -360,7 +363,7 @@ mod tests {
         let size = (name("c") * name("c")).power(0.5);
         for covariance in [name("c") * name("c"), name("c") + 0.1, name("c") * name("s"), one_sided, size] {
             let (model, slots, tests) = instruments(covariance.clone());
-            let sought = Edges::of(&model, &slots, &tests);
+            let sought = CorrelationBounds::of(&model, &slots, &tests);
             let is_factor = covariance == name("c") * name("s");
             assert_eq!(sought.has(2), is_factor, "{covariance:?}");
         }
@@ -381,7 +384,7 @@ mod tests {
             test.push(&vec![1.0; model.shared().columns.len()], &[], kalfit_model::Source::default());
             let tests: Vec<PhasedTest> = vec![test.into()];
             let slots = Slots::in_phases(&model, &kalfit_model::Labels::default(), &tests);
-            let least = Edges::least(&model, &slots, &tests);
+            let least = CorrelationBounds::least(&model, &slots, &tests);
             // s 0.5 ≥ 0.2
             assert!(least.len() == 1 && least[0].0 == 0 && (least[0].1 - 0.4).abs() < 1e-8, "{sought}: {least:?}");
         }

@@ -13,7 +13,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::branches::{WITHIN, highest, others};
+use crate::dynamic::branches::{INTERVAL_LOSS, highest, others};
 use crate::{AsymptoticLaw, Held, HeldMaximum, Holdable, Holder, Holds, value};
 use kalfit_estimate::{Estimate, FinalState, NewtonIterate, Point};
 use kalfit_model::{Alpha, Population};
@@ -28,26 +28,26 @@ const TOLERANCE: f64 = 1e-3;
 /// Distance of α from the maximum, in standard errors, that is near enough where no step raises ℓ any more.
 const NEAR_ENOUGH: f64 = 2e-2;
 /// Maximal number of steps of α.
-const STEPS: usize = 25;
+const MAX_STEPS: usize = 25;
 /// Maximal number of lengths tried for one step, each shorter than the one before.
-const TRIES: usize = 8;
+const MAX_TRIALS: usize = 8;
 /// Longest step of a logarithm.
 const LONGEST: f64 = 2.0;
 /// Standard error assumed for a coordinate that is released from its bound.
-const RELEASED: f64 = 0.3;
+const RELEASED_ERROR: f64 = 0.3;
 
 /// A quantity that can be held at a value while α moves.
 pub(super) trait HeldQuantity: Copy + Sync {
     /// The best (μ, Σ) at some α with the quantity held, from a point nearby.
     fn maximum(self, at: (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum>;
     /// Estimate of the quantity.
-    fn value(self, outer: &Outer<'_, '_>) -> Option<f64>;
+    fn value(self, outer: &HeldProfile<'_, '_>) -> Option<f64>;
     /// Derivative of the quantity along the tangent basis at the estimate.
     fn along(self, law: &AsymptoticLaw<'_>, estimate: &Estimate) -> DVector<f64>;
     /// Derivative of the quantity by the coordinates of the values that move, at the estimate.
-    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64>;
+    fn slopes(self, outer: &HeldProfile<'_, '_>) -> DVector<f64>;
     /// Derivative of the quantity by those coordinates at other values, with (μ, Σ) there.
-    fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>>;
+    fn slopes_at(self, outer: &HeldProfile<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>>;
 }
 
 impl HeldQuantity for Holdable {
@@ -55,7 +55,7 @@ impl HeldQuantity for Holdable {
         holder.maximum(self, x, near)
     }
 
-    fn value(self, outer: &Outer<'_, '_>) -> Option<f64> {
+    fn value(self, outer: &HeldProfile<'_, '_>) -> Option<f64> {
         value(outer.estimate, self)
     }
 
@@ -63,17 +63,17 @@ impl HeldQuantity for Holdable {
         law.derivative(&estimate.covariance, self)
     }
 
-    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64> {
+    fn slopes(self, outer: &HeldProfile<'_, '_>) -> DVector<f64> {
         DVector::zeros(outer.slots.len())
     }
 
-    fn slopes_at(self, outer: &Outer<'_, '_>, _: &[f64], _: &Population) -> Option<DVector<f64>> {
+    fn slopes_at(self, outer: &HeldProfile<'_, '_>, _: &[f64], _: &Population) -> Option<DVector<f64>> {
         Some(self.slopes(outer))
     }
 }
 
 /// Profile of ℓ over α with a quantity held.
-pub(super) struct Outer<'b, 'a> {
+pub(super) struct HeldProfile<'b, 'a> {
     pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) estimate: &'b Estimate,
     law: AsymptoticLaw<'b>,
@@ -108,7 +108,7 @@ impl WarmStart {
 }
 
 /// The best (μ, Σ) at some α with a quantity held.
-struct Here {
+struct HeldPoint {
     values: Vec<f64>,
     state: FinalState,
     place: NewtonIterate,
@@ -117,7 +117,7 @@ struct Here {
     gradient: Vec<f64>,
 }
 
-impl Here {
+impl HeldPoint {
     fn value(&self) -> f64 {
         self.place.local.value
     }
@@ -128,13 +128,13 @@ impl Here {
     }
 }
 
-impl<'h> From<&'h Here> for Iterate<'h> {
-    fn from(here: &'h Here) -> Iterate<'h> {
+impl<'h> From<&'h HeldPoint> for Iterate<'h> {
+    fn from(here: &'h HeldPoint) -> Iterate<'h> {
         Iterate { values: &here.values, gradient: &here.gradient }
     }
 }
 
-impl<'b, 'a> Outer<'b, 'a> {
+impl<'b, 'a> HeldProfile<'b, 'a> {
     pub(super) fn new(
         (objective, fit): (&'b ProfileLikelihood<'a>, &DynamicFit),
         estimate: &'b Estimate,
@@ -151,12 +151,12 @@ impl<'b, 'a> Outer<'b, 'a> {
         let (whole, k, m) = (&covariances.whole, shared.len(), covariances.whole.nrows() - shared.len());
         let alpha = DMatrix::from_fn(slots.len(), slots.len(), |i, j| match (places[i], places[j]) {
             (Some(a), Some(b)) => whole[(a, b)],
-            _ if i == j => RELEASED * RELEASED,
+            _ if i == j => RELEASED_ERROR * RELEASED_ERROR,
             _ => 0.0,
         });
         let cross = DMatrix::from_fn(slots.len(), m, |i, c| places[i].map_or(0.0, |a| whole[(a, k + c)]));
         let inner = whole.view((k, k), (m, m)).into_owned();
-        Outer {
+        HeldProfile {
             objective,
             estimate,
             law: AsymptoticLaw::new(&estimate.state),
@@ -203,7 +203,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 
     /// The best (μ, Σ) at these values with the quantity held, and the gradient of ℓ there.
-    fn at(&self, (what, x): (impl HeldQuantity, f64), values: Vec<f64>, near: &WarmStart) -> Option<Here> {
+    fn at(&self, (what, x): (impl HeldQuantity, f64), values: Vec<f64>, near: &WarmStart) -> Option<HeldPoint> {
         let objective = self.objective;
         let reduced = objective.reduce(&values).ok()?;
         let alpha = objective.alpha(&values);
@@ -219,12 +219,12 @@ impl<'b, 'a> Outer<'b, 'a> {
             gradient[s] -= found.slope * own;
         }
         let (place, slope) = (found.near, found.slope);
-        gradient.iter().all(|g| g.is_finite()).then_some(Here { values, state, place, slope, gradient })
+        gradient.iter().all(|g| g.is_finite()).then_some(HeldPoint { values, state, place, slope, gradient })
     }
 
     /// Newton's step among the values that do not stand at a bound beyond which ℓ rises, and its squared decrement;
     /// `None` where ℓ does not curve downward.
-    fn step(&self, quadratic: &Quadratic<'_>, here: &Here) -> Option<(DVector<f64>, f64)> {
+    fn step(&self, quadratic: &Quadratic<'_>, here: &HeldPoint) -> Option<(DVector<f64>, f64)> {
         let is_held = |s: usize| self.objective.coordinates[s].is_held(here.values[s], here.gradient[s]);
         let gradient: Vec<f64> =
             here.gradient.iter().enumerate().map(|(s, g)| if is_held(s) { 0.0 } else { *g }).collect();
@@ -234,13 +234,19 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 
     /// The next point, by a step shortened until ℓ rises; `None` where no step raises ℓ.
-    fn next(&self, held: (impl HeldQuantity, f64), here: &Here, step: &DVector<f64>, promised: f64) -> Option<Here> {
+    fn next(
+        &self,
+        held: (impl HeldQuantity, f64),
+        here: &HeldPoint,
+        step: &DVector<f64>,
+        promised: f64,
+    ) -> Option<HeldPoint> {
         let slack = 1e-12 * here.value().abs().max(1.0);
         let near = here.near(held.1);
         let mut length = 1.0;
-        for _ in 0..TRIES {
+        for _ in 0..MAX_TRIALS {
             let values = self.moved(&here.values, &(step * length));
-            let rises = |next: &Here| next.value() >= here.value() + 0.05 * length * promised - slack;
+            let rises = |next: &HeldPoint| next.value() >= here.value() + 0.05 * length * promised - slack;
             if let Some(next) = self.at(held, values, &near).filter(rises) {
                 return Some(next);
             }
@@ -250,7 +256,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 }
 
-impl Holds for Outer<'_, '_> {
+impl Holds for HeldProfile<'_, '_> {
     const PRECISION: f64 = 1e-4;
     type What = Holdable;
     type Near = WarmStart;
@@ -260,7 +266,7 @@ impl Holds for Outer<'_, '_> {
     }
 }
 
-impl Outer<'_, '_> {
+impl HeldProfile<'_, '_> {
     /// The highest maximum with a quantity held that is found from nearby or, where that is too low, from other
     /// branches.
     pub(super) fn highest(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
@@ -268,20 +274,20 @@ impl Outer<'_, '_> {
             let (values, state) = (other.to_vec(), self.estimate.state.clone());
             self.nearby(what, x, &WarmStart { values, state, point: None, at: Some(x) })
         };
-        let likely = self.estimate.log_likelihood - WITHIN;
-        let found = highest(self.nearby(what, x, near), &self.others, (Here::value, likely), from)?;
+        let likely = self.estimate.log_likelihood - INTERVAL_LOSS;
+        let found = highest(self.nearby(what, x, near), &self.others, (HeldPoint::value, likely), from)?;
         Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
     }
 
     /// The maximum that a search from nearby reaches.
-    fn nearby(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Here> {
+    fn nearby(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<HeldPoint> {
         let (covariance, follows) = self.given(what);
         let from = near.at.or_else(|| what.value(self))?;
         let expected = self.moved(&near.values, &(follows * (x - from)));
         let mut here = self.at((what, x), expected, near).or_else(|| self.at((what, x), near.values.clone(), near))?;
         let information = ProfileInformation::of_covariance(&self.slots, &covariance);
         let mut quadratic = Quadratic::about(&self.objective.coordinates, information, &here.values);
-        for _ in 0..STEPS {
+        for _ in 0..MAX_STEPS {
             let (step, promised) = self.step(&quadratic, &here)?;
             if promised <= TOLERANCE * TOLERANCE {
                 return Some(here);
@@ -289,7 +295,7 @@ impl Outer<'_, '_> {
             let Some(next) = self.next((what, x), &here, &step, promised) else {
                 return Some(here).filter(|_| promised <= NEAR_ENOUGH * NEAR_ENOUGH);
             };
-            quadratic.learn((&here).into(), (&next).into());
+            quadratic.update((&here).into(), (&next).into());
             here = next;
         }
         None

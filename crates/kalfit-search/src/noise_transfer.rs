@@ -15,10 +15,10 @@ use kalfit_model::{Expression, Model, Operator};
 
 /// Part of the possible variance that a process does not take over: covariances are sought within the bounds that
 /// variances set.
-const LEFT: f64 = 1e-2;
+const UNTAKEN_PART: f64 = 1e-2;
 
 /// Measurements whose noises have free covariances, and their coefficients of one process.
-pub(super) struct CrossedNoise<'b, 'a> {
+pub(super) struct NoiseTransfer<'b, 'a> {
     objective: &'b ProfileLikelihood<'a>,
     /// The level of each measurement's noise, and the exponent with which it is a variance.
     levels: Vec<(usize, f64)>,
@@ -30,7 +30,7 @@ pub(super) struct CrossedNoise<'b, 'a> {
     process: (usize, f64),
 }
 
-impl<'b, 'a> CrossedNoise<'b, 'a> {
+impl<'b, 'a> NoiseTransfer<'b, 'a> {
     /// The noises that have covariances, with that of level `s` among them, and the process of level `t`; `None` where
     /// there are none, or where levels, covariances or coefficients are not simple enough for ℓ to stay unchanged.
     pub(super) fn of(objective: &'b ProfileLikelihood<'a>, s: usize, t: usize) -> Option<Self> {
@@ -51,7 +51,7 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         let levels: Vec<(usize, f64)> = measurements.iter().map(level).collect::<Option<_>>()?;
         let loadings = loadings(model, objective.slots.slots()[t].parameter, &measurements)?;
         let noises =
-            CrossedNoise { objective, levels, covariances, loadings, process: (t, objective.coordinates[t].level?) };
+            NoiseTransfer { objective, levels, covariances, loadings, process: (t, objective.coordinates[t].level?) };
         (noises.levels.iter().any(|(level, _)| *level == s) && noises.is_complete()).then_some(noises)
     }
 
@@ -86,7 +86,8 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         let mut values = self.objective.values(sought);
         let noises = self.matrix(&values);
         let information = self.loadings.dot(&noises.clone().cholesky()?.solve(&self.loadings));
-        let variance = Some((1.0 - LEFT) / information).filter(|variance| variance.is_finite() && *variance > 0.0)?;
+        let variance =
+            Some((1.0 - UNTAKEN_PART) / information).filter(|variance| variance.is_finite() && *variance > 0.0)?;
         let (t, exponent) = self.process;
         let taker = self.objective.coordinates[t];
         values[t] = variance.powf(exponent.recip()).clamp(taker.lower, taker.upper);
@@ -205,7 +206,7 @@ mod tests {
         let slots = Slots::in_phases(&model, &Labels::default(), &tests);
         let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
         let white = objective.sought(&[0.02, 0.6, 0.5, 0.7, 0.1]);
-        let noises = CrossedNoise::of(&objective, 2, 1).expect("they have a covariance");
+        let noises = NoiseTransfer::of(&objective, 2, 1).expect("they have a covariance");
         let given = noises.given(&white);
         let found = objective.values(&given);
         for (found, expected) in
@@ -221,12 +222,12 @@ mod tests {
         // the remaining noises have hardly any variance in the direction of the process
         let (left, h) = (noises.matrix(&objective.values(&taken)), &noises.loadings);
         let full = h.dot(&(noises.matrix(&found).try_inverse().expect("regular") * h));
-        assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - LEFT).abs() < 1e-6);
+        assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - UNTAKEN_PART).abs() < 1e-6);
     }
 
     fn is_crossed(model: &PhasedModel) -> bool {
         let (slots, settings) = (Slots::new(model.shared(), &Labels::default(), &[]), Settings::default());
-        CrossedNoise::of(&ProfileLikelihood::new(model, &[], &slots, &settings), 2, 1).is_some()
+        NoiseTransfer::of(&ProfileLikelihood::new(model, &[], &slots, &settings), 2, 1).is_some()
     }
 
     #[test]

@@ -11,16 +11,16 @@ use crate::search_state::{LONGEST, SearchState};
 use crate::{Coordinate, Method};
 
 /// Maximal number of steps before the second derivatives are computed again.
-const STEPS: usize = 12;
+const MAX_STEPS: usize = 12;
 /// Part of the predicted rise by which ℓ must rise for these steps to continue.
-const KEPT: f64 = 0.2;
+const MIN_GAIN: f64 = 0.2;
 /// Ratio of curvature to slope of a level's logarithm, downward, below which these steps end: the level is on its way
 /// to zero, better in its variance.
-const SINKING: f64 = 2.5;
+const VANISHING_RATIO: f64 = 2.5;
 
 impl<'b> SearchState<'b, '_> {
     /// Continues from the end of a step; `before`: the point where it began, `joint`: the information there.
-    pub(super) fn glide(&mut self, joint: &JointInformation, before: &ProfilePoint) {
+    pub(super) fn updated_hessian_steps(&mut self, joint: &JointInformation, before: &ProfilePoint) {
         if let Some(curvature) = ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, before))
         {
             self.quasi_newton_steps(curvature, (Some(before.clone()), true));
@@ -28,9 +28,9 @@ impl<'b> SearchState<'b, '_> {
     }
 
     /// Continues by information from an earlier point that serves here, too, without updating it.
-    pub(super) fn glide_by(&mut self, joint: &JointInformation) {
+    pub(super) fn fixed_hessian_steps(&mut self, joint: &JointInformation) {
         if let Some(curvature) =
-            ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, &self.home))
+            ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, &self.iterate))
         {
             self.quasi_newton_steps(curvature, (None, false));
         }
@@ -38,14 +38,14 @@ impl<'b> SearchState<'b, '_> {
 
     /// Steps by the curvature at a maximum of a part of the data: in its scale of levels, or where that fails in the
     /// other one.
-    pub(super) fn begin_with(&mut self, curvature: Option<ProfileInformation>) {
+    pub(super) fn start_from_curvature(&mut self, curvature: Option<ProfileInformation>) {
         let Some(curvature) = curvature else { return };
-        let start = self.home.value();
+        let start = self.iterate.value();
         self.level_scale = curvature.level_scale;
         for curvature in [curvature.clone(), curvature.other()] {
             let scale = curvature.level_scale;
             self.quasi_newton_steps(curvature, (None, true));
-            if self.home.value() != start {
+            if self.iterate.value() != start {
                 self.level_scale = scale;
                 return;
             }
@@ -66,26 +66,26 @@ impl<'b> SearchState<'b, '_> {
             return;
         }
         let coordinates: &'b [Coordinate] = &self.objective.coordinates;
-        let mut quadratic = Quadratic::about(coordinates, curvature, &last.as_ref().unwrap_or(&self.home).values);
-        for _ in 0..STEPS {
+        let mut quadratic = Quadratic::about(coordinates, curvature, &last.as_ref().unwrap_or(&self.iterate).values);
+        for _ in 0..MAX_STEPS {
             let before = last.as_ref().filter(|_| learns);
-            let learnt = before.is_none_or(|last| quadratic.learn(last.into(), (&self.home).into()));
-            if !learnt || quadratic.sinks((&self.home).into(), SINKING) {
+            let learnt = before.is_none_or(|last| quadratic.update(last.into(), (&self.iterate).into()));
+            if !learnt || quadratic.has_vanishing_level((&self.iterate).into(), VANISHING_RATIO) {
                 return;
             }
-            let Some((step, decrement)) = quadratic.step((&self.home).into()) else { return };
-            self.glided = Some(decrement);
+            let Some((step, decrement)) = quadratic.step((&self.iterate).into()) else { return };
+            self.last_decrement = Some(decrement);
             let promised = 0.5 * decrement * decrement;
-            if self.is_lost(decrement) || promised <= 0.05 * self.tolerance().powi(2) {
+            if self.is_out_of_reach(decrement) || promised <= 0.05 * self.tolerance().powi(2) {
                 return;
             }
-            let Some(values) = quadratic.moved(&self.home.values, &step, LONGEST) else { return };
-            let slack = 1e-12 * self.home.value().abs().max(1.0);
-            let rises = |next: &ProfilePoint| next.value() >= self.home.value() + KEPT * promised - slack;
+            let Some(values) = quadratic.moved(&self.iterate.values, &step, LONGEST) else { return };
+            let slack = 1e-12 * self.iterate.value().abs().max(1.0);
+            let rises = |next: &ProfilePoint| next.value() >= self.iterate.value() + MIN_GAIN * promised - slack;
             let Some(next) = self.at(&values).filter(rises) else { return };
             let inside = quadratic.is_above_bounds(&next.values);
-            last = Some(std::mem::replace(&mut self.home, next));
-            self.tell(Some(decrement));
+            last = Some(std::mem::replace(&mut self.iterate, next));
+            self.report_step(Some(decrement));
             if !inside || self.stops() {
                 return;
             }
@@ -94,19 +94,20 @@ impl<'b> SearchState<'b, '_> {
 
     /// The scale of levels that predicted the gradient after a step better; the present one where this cannot be
     /// decided.
-    pub(super) fn straighter(&self, joint: &JointInformation, next: &ProfilePoint) -> LevelScale {
+    pub(super) fn better_level_scale(&self, joint: &JointInformation, next: &ProfilePoint) -> LevelScale {
         if self.objective.settings.method != Method::Hybrid {
             return self.level_scale; // the gradient is not at the best (μ, Σ)
         }
         let by = |scale| {
-            let curvature = ProfileInformation::of(&self.objective.coordinates, scale, (joint, &self.home))?;
-            Some(Quadratic::about(&self.objective.coordinates, curvature, &self.home.values))
+            let curvature = ProfileInformation::of(&self.objective.coordinates, scale, (joint, &self.iterate))?;
+            Some(Quadratic::about(&self.objective.coordinates, curvature, &self.iterate.values))
         };
         let (Some(logarithm), Some(variance)) = (by(LevelScale::Logarithm), by(LevelScale::Variance)) else {
             return self.level_scale;
         };
-        let missed =
-            |quadratic: &Quadratic<'_>| logarithm.size(&quadratic.unforeseen((&self.home).into(), next.into()));
+        let missed = |quadratic: &Quadratic<'_>| {
+            logarithm.size(&quadratic.prediction_error((&self.iterate).into(), next.into()))
+        };
         match (missed(&logarithm), missed(&variance)) {
             (Some(one), Some(other)) if other < one => LevelScale::Variance,
             (Some(_), Some(_)) => LevelScale::Logarithm,

@@ -30,8 +30,8 @@ impl ExchangeablePair {
         ExchangeablePair::all(model, slots, false)
     }
 
-    /// Pairs of processes of one kind whose exchange keeps the model unchanged (`leaves`), or changes it.
-    fn all(model: &PhasedModel, slots: &Slots, leaves: bool) -> Vec<ExchangeablePair> {
+    /// Pairs of processes of one kind whose exchange keeps the model unchanged (`preserves`), or changes it.
+    fn all(model: &PhasedModel, slots: &Slots, preserves: bool) -> Vec<ExchangeablePair> {
         let [phase] = &model.phases[..] else { return Vec::new() };
         let levels = !model.levels.is_empty();
         let constants = time_constants(model);
@@ -41,7 +41,7 @@ impl ExchangeablePair {
         let apart =
             |&(i, j): &(usize, usize)| !(levels && (model.estimated.contains(&i) || model.estimated.contains(&j)));
         let exchanges = pairs.filter(apart).filter_map(|(i, j)| Exchange::of(model, i, j));
-        let twins = exchanges.filter(|exchange| exchange.leaves(model) == leaves).filter_map(|exchange| {
+        let twins = exchanges.filter(|exchange| exchange.preserves(model) == preserves).filter_map(|exchange| {
             let slots_of = |(p, q)| Some((slots.common(p)?, slots.common(q)?));
             let mut pairs: Vec<(usize, usize)> =
                 exchange.parameters.into_iter().map(slots_of).collect::<Option<_>>()?;
@@ -118,14 +118,15 @@ pub fn ordered(twins: &[ExchangeablePair], values: &[f64]) -> Vec<f64> {
     values
 }
 
-/// The values with exchangeable processes in the order that is nearest to `home`.
-pub(crate) fn aligned(twins: &[ExchangeablePair], values: &[f64], home: &[f64]) -> Vec<f64> {
+/// The values with exchangeable processes in the order that is nearest to `reference`.
+pub(crate) fn aligned(twins: &[ExchangeablePair], values: &[f64], reference: &[f64]) -> Vec<f64> {
     let apart = |a: f64, b: f64| if a > 0.0 && b > 0.0 { (a / b).ln().abs() } else { (a - b).abs() };
     let mut values = values.to_vec();
     for pair in twins {
         let distance = |cross: bool| -> f64 {
             let of = |&(s, t): &(usize, usize)| {
-                let (s, t, a, b) = if cross { (t, s, home[s], home[t]) } else { (s, t, home[s], home[t]) };
+                let (s, t, a, b) =
+                    if cross { (t, s, reference[s], reference[t]) } else { (s, t, reference[s], reference[t]) };
                 apart(values[s], a) + apart(values[t], b)
             };
             pair.pairs.iter().map(of).sum()

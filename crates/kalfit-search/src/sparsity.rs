@@ -6,7 +6,7 @@ use kalfit_filter::score::Gradient;
 
 /// Which tests depend on which values.
 #[derive(Debug)]
-pub(super) struct Touching {
+pub(super) struct JacobianSparsity {
     /// Tests that depend on each value.
     pub(super) tests: Vec<Vec<usize>>,
     /// Values that each test depends on.
@@ -16,9 +16,9 @@ pub(super) struct Touching {
     count: usize,
 }
 
-impl Touching {
+impl JacobianSparsity {
     /// The dependences between tests and n values, from the values that occur in the scores of each test.
-    pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> Touching {
+    pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> JacobianSparsity {
         let mut tests = vec![Vec::new(); n];
         let mentioned = |gradient: &Gradient| gradient.iter().map(|(s, _)| *s).collect();
         // a value that affects one test affects the results of all others of its unit
@@ -29,11 +29,11 @@ impl Touching {
         }
         let mut matrix = vec![false; n];
         objective.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
-        Touching { tests, of_test, matrix, count: all.scores.len() }
+        JacobianSparsity { tests, of_test, matrix, count: all.scores.len() }
     }
 
     /// Whether all tests depend on a value.
-    pub(super) fn everywhere(&self, s: usize) -> bool {
+    pub(super) fn is_common(&self, s: usize) -> bool {
         self.tests[s].len() == self.count
     }
 
@@ -42,7 +42,7 @@ impl Touching {
         if apart {
             return active.iter().map(|&s| vec![s]).collect();
         }
-        let is_whole = |s: usize| self.matrix[s] || self.everywhere(s);
+        let is_whole = |s: usize| self.matrix[s] || self.is_common(s);
         let own = |&s: &usize| (s, (!is_whole(s)).then_some(&*self.tests[s]));
         colours(active.iter().map(own), self.count)
     }
