@@ -9,6 +9,7 @@ use crate::symmetric::{pair, pairs};
 pub enum Folded {
     /// Number of rows, and elements (i, k), i ≤ k, at pair(k, i).
     Symmetric(usize, Vec<f64>),
+    /// All elements of a matrix that is not symmetric to the last bit.
     Whole(DMatrix<f64>),
 }
 

@@ -43,11 +43,13 @@ impl RowLists {
         self.numbers.reserve_exact(rows * self.width);
     }
 
+    /// The numbers of a row, by its number.
     #[inline]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.numbers[self.range(row)]
     }
 
+    /// The numbers of a row for writing, by its number.
     pub fn row_mut(&mut self, row: usize) -> &mut [f64] {
         let range = self.range(row);
         &mut self.numbers[range]

@@ -36,11 +36,13 @@ impl From<&DMatrix<f64>> for Rows {
 }
 
 impl<T: Real> Rows<T> {
+    /// A matrix of zeros, rows × columns.
     #[inline(always)]
     pub fn zeros(rows: usize, columns: usize) -> Rows<T> {
         Rows { rows, columns, data: vec![T::splat(0.0); rows * columns] }
     }
 
+    /// The matrix with elements `entry(i, k)` in row i and column k, rows × columns.
     #[inline(always)]
     pub fn from_fn(rows: usize, columns: usize, entry: impl Fn(usize, usize) -> T) -> Rows<T> {
         let mut all = Rows::zeros(rows, columns);
@@ -54,6 +56,7 @@ impl<T: Real> Rows<T> {
         all
     }
 
+    /// The identity matrix, size × size.
     #[inline(always)]
     pub fn identity(size: usize) -> Rows<T> {
         let mut identity = Rows::zeros(size, size);
@@ -63,16 +66,19 @@ impl<T: Real> Rows<T> {
         identity
     }
 
+    /// Number of rows.
     #[inline(always)]
     pub fn nrows(&self) -> usize {
         self.rows
     }
 
+    /// Number of columns.
     #[inline(always)]
     pub fn ncols(&self) -> usize {
         self.columns
     }
 
+    /// All elements, row by row.
     #[inline(always)]
     pub fn as_slice(&self) -> &[T] {
         &self.data
@@ -85,11 +91,13 @@ impl<T: Real> Rows<T> {
         Rows { rows, columns, data }
     }
 
+    /// The elements of row i.
     #[inline(always)]
     pub fn row(&self, i: usize) -> &[T] {
         &self.data[i * self.columns..][..self.columns]
     }
 
+    /// The elements of row i for writing.
     #[inline(always)]
     pub fn row_mut(&mut self, i: usize) -> &mut [T] {
         &mut self.data[i * self.columns..][..self.columns]

@@ -20,6 +20,7 @@ impl Sparse {
         Sparse { rows, ends: Vec::new(), entries: Vec::new() }
     }
 
+    /// The nonzero entries of a dense matrix.
     pub fn of(dense: &DMatrix<f64>) -> Sparse {
         let mut sparse = Sparse::with_height(dense.nrows());
         dense.column_iter().for_each(|column| sparse.push(column.iter().copied().enumerate()));
@@ -47,10 +48,12 @@ impl Sparse {
         self.ends.push(self.entries.len());
     }
 
+    /// Number of rows.
     pub fn nrows(&self) -> usize {
         self.rows
     }
 
+    /// Number of columns.
     pub fn ncols(&self) -> usize {
         self.ends.len()
     }
@@ -61,10 +64,12 @@ impl Sparse {
         &self.entries[start..self.ends[c]]
     }
 
+    /// (row, value) of the entries of each column, in the order of the columns.
     pub fn columns(&self) -> impl Iterator<Item = &[(usize, f64)]> {
         (0..self.ncols()).map(|c| self.column(c))
     }
 
+    /// The matrix with its zeros, rows × columns.
     pub fn dense(&self) -> DMatrix<f64> {
         let mut dense = DMatrix::zeros(self.nrows(), self.ncols());
         for (c, entries) in self.columns().enumerate() {
@@ -73,6 +78,7 @@ impl Sparse {
         dense
     }
 
+    /// The transposed matrix, columns × rows.
     pub fn transposed(&self) -> Sparse {
         let mut rows = vec![Vec::new(); self.rows];
         for (c, entries) in self.columns().enumerate() {

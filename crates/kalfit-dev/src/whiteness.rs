@@ -1,5 +1,5 @@
 //! The law of Ljung and Box's statistic of independent normal numbers with known mean, by importance sampling: the table from which
-//! kalfit takes its p-values (`crates/kalfit/src/innovations/whiteness/table.rs`).
+//! kalfit takes its p-values (`crates/kalfit-filter/src/innovations/whiteness/table.rs`).
 //!
 //! ```text
 //! P(Q > q) = E_g[w 1(Q > q)]        w = f/g
@@ -27,7 +27,7 @@ use self::proposal::{MOST_LAGS, PER_LAG, SeriesProposal, lags};
 use crate::places;
 use crate::seed::random_of_block;
 
-const TABLE: &str = "crates/kalfit/src/innovations/whiteness/table.rs";
+const TABLE: &str = "crates/kalfit-filter/src/innovations/whiteness/table.rs";
 /// From this length on all lags are taken.
 const LONG: usize = MOST_LAGS * PER_LAG;
 /// Lengths from there on; between them 1/n is interpolated, down to the χ² of n → ∞.

@@ -30,6 +30,7 @@ pub struct ClassRef<'a> {
 pub struct Class {
     pub(crate) count: f64,
     pub(crate) constant: f64,
+    /// R, p × p by rows, upper triangular; C, q × p by rows.
     pub factor: Vec<f64>,
     pub(crate) mean: Vec<f64>,
     pub(crate) scatter: Vec<f64>,
@@ -39,6 +40,7 @@ pub struct Class {
 }
 
 impl Class {
+    /// A view of the class.
     pub fn view(&self) -> ClassRef<'_> {
         ClassRef {
             count: self.count,

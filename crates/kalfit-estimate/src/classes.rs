@@ -49,7 +49,9 @@ pub struct Classes {
     pub(crate) unbatched: Vec<usize>,
     /// The `listed` classes in phases that are evaluated in lanes.
     pub(crate) chains: Vec<Arc<Packed>>,
+    /// The coordinates η of the stored numbers.
     pub frame: Frame,
+    /// Number of tests.
     pub tests: usize,
     /// Σ_j R_j'R_j, in η.
     pub information: DMatrix<f64>,

@@ -34,6 +34,7 @@ pub enum CoordinateForm {
 pub struct PhaseForm {
     /// States of the phase.
     pub states: Range<usize>,
+    /// How the Σ of the phase is built from coordinates ψ.
     pub form: CoordinateForm,
     /// Whether the phase has a linear covariance structure.
     pub linear: bool,
@@ -44,7 +45,9 @@ pub struct PhaseForm {
 /// Σ coefficient × σ_pair = value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Constraint {
+    /// (i, j, coefficient) of each element σ_ij in the sum.
     pub terms: Vec<(usize, usize, f64)>,
+    /// Value of the sum.
     pub value: f64,
 }
 
@@ -54,11 +57,13 @@ pub struct CovarianceMap {
     pub(crate) p: usize,
     /// The form of each phase.
     pub parts: Vec<PhaseForm>,
+    /// Linear constraints on Σ that the forms of the phases do not give.
     pub constraints: Vec<Constraint>,
     /// States whose variance is not held at zero.
     pub random: Vec<usize>,
     /// The state whose mean each regression coefficient acts on: its variance sets the coefficient's natural size.
     pub(crate) regressors: Vec<usize>,
+    /// The elements of Σ.
     pub elements: Elements,
 }
 

@@ -24,11 +24,15 @@ const STRUCTURE_TOLERANCE: f64 = 1e-6;
 /// The reason why there is no state at a population.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ExpectedError {
+    /// The problem cannot be set up, or its information is not finite.
     Fit(FitError),
     /// An element of the population does not agree with the structure.
     Off {
+        /// The element.
         element: Element,
+        /// Its value in the population, in the user's units.
         found: f64,
+        /// Its value by the structure, in the user's units.
         expected: f64,
     },
 }

@@ -15,8 +15,11 @@ use kalfit_algebra::symmetric;
 /// Value and derivatives at a point, in mean coordinates and the elements of Σ ([`Elements`]).
 #[derive(Debug, Clone)]
 pub struct Local {
+    /// Value of the function.
     pub value: f64,
+    /// Gradient by the mean coordinates.
     pub mean_score: DVector<f64>,
+    /// Information on the mean coordinates.
     pub mean_information: DMatrix<f64>,
     /// G: the value changes by tr(G dΣ).
     pub score: DMatrix<f64>,
@@ -67,6 +70,7 @@ pub trait Objective {
 pub struct Tangent {
     /// Number of free mean coordinates.
     pub mean: usize,
+    /// Coordinates ψ around the root F of Σ = FF'.
     pub chart: Chart,
     /// dσ/dψ, elements × ψ.
     pub jacobian: Sparse,

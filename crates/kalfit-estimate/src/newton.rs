@@ -18,8 +18,11 @@ use kalfit_algebra::symmetric;
 /// A point with the value and the derivatives of the objective there.
 #[derive(Debug, Clone)]
 pub struct NewtonIterate {
+    /// The point, in η.
     pub point: Point,
+    /// Value and derivatives by the mean coordinates and the elements of Σ.
     pub local: Local,
+    /// Derivatives in free coordinates, along the tangent space of the constraints.
     pub tangent: Tangent,
     pub(crate) curvature: Curvature,
 }

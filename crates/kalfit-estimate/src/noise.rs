@@ -86,7 +86,9 @@ impl ScalableNoise {
 /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ), the latter along the tangent basis of the state.
 #[derive(Debug, Clone)]
 pub struct NoiseInformation {
+    /// -∂²ℓ/∂u².
     pub own: f64,
+    /// -∂²ℓ/∂u∂(μ, Σ), one number for each column of the tangent basis.
     pub cross: DVector<f64>,
 }
 

@@ -9,8 +9,11 @@ use crate::class::ClassRef;
 /// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Point {
+    /// μ without regression (p).
     pub mean: Vec<f64>,
+    /// Scaled regression coefficients, one for each regression.
     pub coefficients: Vec<f64>,
+    /// F with FF' = Σ.
     pub root: DMatrix<f64>,
 }
 

@@ -25,8 +25,11 @@ use kalfit_model::{Population, StructureError};
 /// The problem to maximise ℓ(μ, Σ) of the reductions under a structure, or the restricted likelihood.
 #[derive(Debug)]
 pub struct Problem {
+    /// The reductions, gathered in classes.
     pub classes: Classes,
+    /// Free coordinates of the mean.
     pub mean: MeanMap,
+    /// The structure of Σ, in η.
     pub covariance: CovarianceMap,
     mean_jacobian: DMatrix<f64>,
     restriction: Option<Restriction>,
@@ -38,6 +41,7 @@ pub struct Problem {
 }
 
 impl Problem {
+    /// The problem for reductions under a structure, with a criterion and a way to combine phases.
     pub fn new(
         reductions: &Reductions,
         structure: &Structure<'_>,

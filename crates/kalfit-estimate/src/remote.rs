@@ -17,9 +17,13 @@ use kalfit_model::remote::{Flat, Place, Question, Remote};
 /// Counts of the tests of one place or of all places, at the head of the answer to [`Question::Survey`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
+    /// Number of tests.
     pub tests: usize,
+    /// Number of steps of all tests.
     pub steps: usize,
+    /// Number of scalar measurements of all tests.
     pub observations: usize,
+    /// Number of tests that need square-root arithmetic.
     pub square_root_tests: usize,
     /// Number of designs, added over places: a design that two places share counts twice.
     pub designs: usize,

@@ -116,10 +116,14 @@ impl From<&Estimate> for Population {
 /// The end of a search, in the estimator's coordinates.
 #[derive(Debug, Clone)]
 pub struct FinalState {
+    /// The problem whose maximum was sought.
     pub problem: Arc<Problem>,
+    /// The last point of the search, with value and derivatives.
     pub newton_iterate: NewtonIterate,
+    /// Sums over tests at the last point.
     pub sums: Sums,
     pub(crate) assumed: OwnedStructure,
+    /// Settings of the fit.
     pub settings: Settings,
     /// The joint distribution with the dynamic parameters, for standard errors, where these parameters are estimated
     /// too.

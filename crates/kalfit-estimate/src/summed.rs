@@ -25,6 +25,7 @@ use kalfit_model::remote::{Answer, Flat, Law, Place, Question};
 /// The reductions of one place at one α, prepared for sums over them.
 #[derive(Debug)]
 pub struct Summed {
+    /// The reductions, one for each test.
     pub reductions: Reductions,
     /// The reductions of tests in groups, in the states of the test and of each of its groups.
     stacked: Option<Reductions>,
@@ -38,6 +39,7 @@ pub struct Summed {
 }
 
 impl Summed {
+    /// Prepares reductions under a structure for sums over them.
     pub fn new(reductions: Reductions, structure: &Structure<'_>) -> Summed {
         let regressors = structure.regressions().iter().map(|r| r.element).collect();
         let stacked = match evidence(&reductions, structure, &Settings::default()) {

@@ -36,6 +36,7 @@ pub struct ClassTerms<'a> {
 }
 
 impl<'a> ClassTerms<'a> {
+    /// A workspace for the terms of classes at a point; the terms are zero until a class is evaluated.
     pub fn new(point: &'a Point, regressors: &'a Regressors) -> ClassTerms<'a> {
         let p = point.mean.len();
         ClassTerms {

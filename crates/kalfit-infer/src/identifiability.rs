@@ -120,6 +120,7 @@ pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
     directions(&state.problem, &state.newton_iterate.point, &state.sums)
 }
 
+/// Directions of μ (with its regression coefficients) and of Σ that the data do not determine, in the user's units.
 pub fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Direction> {
     let chart = problem.covariance.chart(&point.root);
     let free = problem.covariance.free_directions(&chart);

@@ -34,6 +34,7 @@ impl ReportedInterval<'_> {
 }
 
 impl<'p> SharedProgress<'p> {
+    /// Shares `progress` between threads; `model` names the elements of μ and Σ.
     pub fn new(progress: &'p mut dyn Progress, model: Option<&PhasedModel>) -> SharedProgress<'p> {
         let reported = Mutex::new(ReportedInterval { progress, of: String::new(), is_upper: false, filter_runs: 0 });
         let names = model.map_or_else(Vec::new, PhasedModel::element_names);

@@ -5,7 +5,7 @@ use kalfit::Isa;
 use crate::failure::Failure;
 
 /// The variable that fixes them where no option does.
-pub const INSTRUCTIONS: &str = "KALFIT_INSTRUCTIONS";
+pub const INSTRUCTIONS: &str = Isa::VARIABLE;
 
 /// Fixes the instructions by their word, or else by the variable [`INSTRUCTIONS`] if that is set: results then have the same bits on every
 /// machine that has them. Without either the widest registers of the machine are used.

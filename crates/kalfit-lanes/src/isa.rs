@@ -31,6 +31,23 @@ pub trait Kernel {
 /// The instruction set fixed for this process by `Isa::fix`.
 static FIXED: OnceLock<Isa> = OnceLock::new();
 
+/// The environment variable [`Isa::VARIABLE`] names an instruction set that this machine does not have.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnknownInstructions {
+    /// What the variable holds.
+    pub word: String,
+}
+
+impl std::error::Error for UnknownInstructions {}
+
+impl std::fmt::Display for UnknownInstructions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let here: Vec<&str> = Isa::all().iter().map(|isa| isa.word()).collect();
+        let here = here.join("`, `");
+        write!(f, "{}: found `{}`, expected one of `{here}` on this machine", Isa::VARIABLE, self.word)
+    }
+}
+
 /// A set of instructions that this machine has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Isa(IsaKind);
@@ -50,9 +67,33 @@ impl Isa {
     /// Four numbers at a time in plain arrays, which the compiler may or may not put into registers.
     pub const PORTABLE: Isa = Isa(IsaKind::Portable);
 
-    /// The fixed instruction set, if there is one; else the best that this machine has.
+    /// The instruction set that this process works with: the one that [`Isa::fix`] fixed, or the one that the environment variable
+    /// [`Isa::VARIABLE`] names, or the widest that the machine has. Where the variable names none of this machine, it is the widest
+    /// too; whoever begins a fit refuses such a variable first, by [`Isa::chosen`].
     pub fn best() -> Isa {
-        FIXED.get().or(Isa::all().last()).copied().unwrap_or(Isa::PORTABLE)
+        static DEFAULT: OnceLock<Isa> = OnceLock::new();
+        FIXED.get().copied().unwrap_or_else(|| *DEFAULT.get_or_init(|| Isa::chosen().unwrap_or_else(|_| Isa::widest())))
+    }
+
+    /// The environment variable that names the instruction set of a process, by one of [`Isa::WORDS`].
+    pub const VARIABLE: &'static str = "KALFIT_INSTRUCTIONS";
+
+    /// The instruction set of [`Isa::best`].
+    ///
+    /// # Errors
+    /// The environment variable [`Isa::VARIABLE`] names an instruction set that this machine does not have.
+    pub fn chosen() -> Result<Isa, UnknownInstructions> {
+        if let Some(fixed) = FIXED.get() {
+            return Ok(*fixed);
+        }
+        match std::env::var(Isa::VARIABLE) {
+            Ok(word) if !word.is_empty() => Isa::named(&word).ok_or(UnknownInstructions { word }),
+            _ => Ok(Isa::widest()),
+        }
+    }
+
+    fn widest() -> Isa {
+        Isa::all().last().copied().unwrap_or(Isa::PORTABLE)
     }
 
     /// Makes [`Isa::best`] return this instruction set from now on, so that different machines give the same bits.

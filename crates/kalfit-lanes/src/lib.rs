@@ -15,7 +15,7 @@ mod neon;
 mod portable;
 mod real;
 
-pub use isa::{Alone, Isa, Kernel, Width};
+pub use isa::{Alone, Isa, Kernel, UnknownInstructions, Width};
 pub use portable::Four;
 pub use real::{Counted, Flops, Part, Real};
 

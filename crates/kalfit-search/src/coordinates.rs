@@ -20,6 +20,7 @@ pub struct Coordinate {
     pub(crate) level: Option<f64>,
     /// Closed bounds of the value itself; a logarithm's lower bound is at least zero.
     pub lower: f64,
+    /// Closed upper bound of the value itself; infinite where there is none.
     pub upper: f64,
 }
 

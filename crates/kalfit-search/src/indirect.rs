@@ -25,9 +25,13 @@ pub(super) const WEIGHTS: [(f64, f64); 4] =
 
 /// An ensemble, and α as a function of the sought values.
 pub struct Around<'a> {
+    /// The model.
     pub model: &'a PhasedModel,
+    /// The tests of the ensemble.
     pub tests: &'a [PhasedTest],
+    /// The free values of α.
     pub slots: &'a Slots,
+    /// α at given sought values.
     pub alpha: &'a dyn Fn(&[f64]) -> Alpha,
 }
 

@@ -67,10 +67,14 @@ fn each_derivative(
     sigma: &DMatrix<f64>,
     take: &mut dyn FnMut(usize, (usize, usize), f64),
 ) {
-    let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
-        &structure.kind
-    else {
-        return;
+    // a kind that is added must say here how Σ depends on parameters: the compiler refuses to leave it out
+    let entries = match &structure.kind {
+        CovarianceKind::Fixed(entries)
+        | CovarianceKind::Proportional(entries)
+        | CovarianceKind::Correlation(entries) => entries,
+        CovarianceKind::Full | CovarianceKind::Diagonal | CovarianceKind::Blocks(_) | CovarianceKind::Linear { .. } => {
+            return;
+        } // nothing but numbers
     };
     if block_slots(structure, slots).is_empty() {
         return;
@@ -82,7 +86,11 @@ fn each_derivative(
         CovarianceKind::Proportional(_) if star > 0.0 => sigma.trace() / star,
         CovarianceKind::Correlation(_) => (sigma[(i, i)] * sigma[(j, j)]).sqrt(),
         CovarianceKind::Fixed(_) => 1.0,
-        _ => 0.0,
+        CovarianceKind::Proportional(_)
+        | CovarianceKind::Full
+        | CovarianceKind::Diagonal
+        | CovarianceKind::Blocks(_)
+        | CovarianceKind::Linear { .. } => 0.0, // Σ* is zero, or no matrix of the structure is there
     };
     let mut tape = Tape::default();
     for (i, row) in entries.iter().enumerate() {

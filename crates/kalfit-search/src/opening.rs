@@ -48,7 +48,9 @@ fn suggested(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> 
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuggestedValues {
     pub(crate) tests: usize,
+    /// Start of each free value: the mean of its coordinate over tests, within the bounds.
     pub start: Vec<f64>,
+    /// Size of each free value: the geometric mean of the sizes that the data suggest.
     pub units: Vec<f64>,
 }
 

@@ -40,9 +40,13 @@ const MAX_ROWS_IN_WORK: usize = 1 << 24;
 /// An ensemble and a model, ready to evaluate ℓ(α).
 #[derive(Debug)]
 pub struct ProfileLikelihood<'a> {
+    /// The model.
     pub model: &'a PhasedModel,
+    /// The tests; none where they are remote.
     pub tests: &'a [PhasedTest],
+    /// The free values of α.
     pub slots: &'a Slots,
+    /// Coordinate and bounds of each free value.
     pub coordinates: Vec<Coordinate>,
     pub(crate) settings: &'a Settings,
     /// Covariances of noises, which are sought as parts of their bounds.
@@ -83,6 +87,7 @@ pub struct ProfilePoint {
     /// The free values.
     pub values: Vec<f64>,
     pub(crate) alpha: Alpha,
+    /// The best (μ, Σ) at this α.
     pub estimate: Estimate,
     /// dℓ/dcoordinate of each free value.
     pub gradient: Vec<f64>,
@@ -108,6 +113,7 @@ pub(crate) struct OfTests {
 }
 
 impl ProfilePoint {
+    /// ℓ at the best (μ, Σ).
     pub fn value(&self) -> f64 {
         self.estimate.log_likelihood
     }
@@ -125,6 +131,7 @@ pub(crate) struct FixedLawPoint {
 }
 
 impl<'a> ProfileLikelihood<'a> {
+    /// ℓ(α) of tests under a model.
     pub fn new(
         model: &'a PhasedModel,
         tests: &'a [PhasedTest],

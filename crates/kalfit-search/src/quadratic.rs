@@ -70,7 +70,9 @@ impl ProfileInformation {
 /// Values, and dℓ/dcoordinate there.
 #[derive(Debug, Clone, Copy)]
 pub struct Iterate<'a> {
+    /// The free values.
     pub values: &'a [f64],
+    /// dℓ/dcoordinate of each free value.
     pub gradient: &'a [f64],
 }
 

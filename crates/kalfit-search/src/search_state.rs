@@ -82,6 +82,7 @@ pub(super) struct RidgesSeen {
 
 /// End of a search.
 pub struct SearchEnd {
+    /// The last point of the search.
     pub iterate: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
     pub(crate) joint: JointInformation,
@@ -108,6 +109,7 @@ impl SearchEnd {
 }
 
 impl<'b, 'a> SearchState<'b, 'a> {
+    /// The state of a search that starts at `iterate`.
     pub fn new(
         objective: &'b ProfileLikelihood<'a>,
         progress: &'b mut dyn Progress,

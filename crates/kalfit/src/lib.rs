@@ -35,7 +35,7 @@ pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestBat
 pub use face::{
     Ensemble, EnsembleError, Figure, Fit, MeanProfiles, Options, UnknownName, fit, fit_matrices, fit_reductions,
 };
-pub use kalfit_lanes::Isa;
+pub use kalfit_lanes::{Isa, UnknownInstructions};
 pub use model::{Alpha, Expression, Model, PhasedModel, Population};
 pub use record::{FitRecord, Provenance};
 pub use reduce::{Evidence, PhasedTest, Reduction, ReductionRef, Reductions};

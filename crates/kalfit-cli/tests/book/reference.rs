@@ -181,7 +181,9 @@ fn reached<'a>(name: &str, all: &'a BTreeMap<String, Structure>, found: &mut Vec
 }
 
 fn records(title: &str, intro: &str, top: &str) -> String {
-    let found = files("crates/kalfit/src").into_iter().flat_map(|file| structures(&file));
+    let folders =
+        ["crates/kalfit/src", "crates/kalfit-model/src", "crates/kalfit-infer/src", "crates/kalfit-record/src"];
+    let found = folders.into_iter().flat_map(files).flat_map(|file| structures(&file));
     let all: BTreeMap<String, Structure> =
         found.filter(|s| s.item.attributes.contains("Serialize")).map(|s| (s.item.name.clone(), s)).collect();
     let mut order = Vec::new();

@@ -24,7 +24,7 @@ fn functions_that_the_theory_page_names_exist() {
     for (before, after) in text.match_indices("` in `").map(|(at, link)| (&text[..at], &text[at + link.len()..])) {
         let name = before.rsplit('`').next().unwrap_or_default();
         let file = after.split('`').next().unwrap_or_default();
-        let path = root().join("crates/kalfit/src").join(file);
+        let path = root().join("crates").join(file);
         assert!(path.is_file(), "theory.md names the file {file}, which is not there");
         assert!(defines(&path, name), "theory.md names `{name}` in {file}, which has no such thing");
         named += 1;
@@ -34,6 +34,6 @@ fn functions_that_the_theory_page_names_exist() {
 
 #[test]
 fn a_function_that_does_not_exist_is_seen() {
-    let file = root().join("crates/kalfit/src/estimate/em.rs");
+    let file = root().join("crates/kalfit-estimate/src/em.rs");
     assert!(defines(&file, "step") && !defines(&file, "ste") && !defines(&file, "leap"));
 }

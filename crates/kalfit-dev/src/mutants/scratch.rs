@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use super::choose::{Mutant, chosen};
 use super::rewrite::{MutantSwitch, rewritten};
+use super::sources::GROUPS;
 use crate::places;
 
 /// The module that says which mutant is on.
@@ -22,7 +23,13 @@ const REFUSED: &str = "does-not-compile";
 const BUILT: &str = "built";
 
 fn sources() -> PathBuf {
-    places::root().join("crates/kalfit/src")
+    places::root().join("crates")
+}
+
+/// The crates that mutants and their tests stand in: those of the changed files, and the one that users name.
+fn packages() -> BTreeSet<&'static str> {
+    let of = |file: &'static str| file.split('/').next();
+    GROUPS.iter().flat_map(|group| group.files).filter_map(|(file, _)| of(file)).chain(["kalfit"]).collect()
 }
 
 /// Where the copy lies and what cargo builds of it.
@@ -35,6 +42,8 @@ pub(super) struct ScratchCopy {
 pub(super) struct TestProgram {
     pub(super) name: String,
     pub(super) program: PathBuf,
+    /// The folder of its crate, where it runs.
+    pub(super) folder: PathBuf,
 }
 
 impl ScratchCopy {
@@ -51,11 +60,6 @@ impl ScratchCopy {
 
     fn work(&self) -> PathBuf {
         self.folder.join("work")
-    }
-
-    /// The folder of the core, where its tests run.
-    pub(super) fn core(&self) -> PathBuf {
-        self.work().join("crates/kalfit")
     }
 
     /// Keys of changes that are known not to compile.
@@ -95,24 +99,37 @@ impl ScratchCopy {
         }
         let mut switches = BTreeMap::new();
         copy(places::root(), &self.work(), &mut |relative, text| {
-            let file = relative.strip_prefix("crates/kalfit/src/")?;
-            if file == "lib.rs" {
-                return Some(format!("{text}\nmod mutant;\n"));
+            let file = relative.strip_prefix("crates/")?;
+            let root = file.strip_suffix("/src/lib.rs").filter(|package| packages().contains(package));
+            let mut text = text.to_owned();
+            if let Some(changes) = changed.get(file) {
+                let (changed, placed) = rewritten(&text, changes);
+                switches.insert(relative.to_owned(), placed);
+                text = changed;
+            } else if root.is_none() {
+                return None;
             }
-            let (text, placed) = rewritten(text, changed.get(file)?);
-            switches.insert(relative.to_owned(), placed);
+            if root.is_some() {
+                text.push_str(
+                    "\n#[allow(dead_code, reason = \"a crate may have no mutant of the sample\")]\nmod mutant;\n",
+                );
+            }
             Some(text)
         })?;
-        write(&self.core().join("src/mutant.rs"), SWITCH)?;
+        for package in packages() {
+            write(&self.work().join("crates").join(package).join("src/mutant.rs"), SWITCH)?;
+        }
         Ok(switches)
     }
 
     fn cargo(&self, words: &[&str]) -> Command {
         let mut cargo = Command::new("cargo");
-        cargo.args(words).args(["--package", "kalfit", "--message-format", "json"]);
-        // the switches are what is slow; a build takes longer than what it saves
-        cargo.args(["--config", "profile.dev.package.kalfit.opt-level=1"]);
-        cargo.args(["--config", "profile.test.package.kalfit.opt-level=1"]);
+        cargo.args(words).args(["--message-format", "json"]);
+        for package in packages() {
+            cargo.args(["--package", package]);
+            // the switches are what is slow; a build takes longer than what it saves
+            cargo.args(["--config", &format!("profile.dev.package.{package}.opt-level=1")]);
+        }
         cargo.env("CARGO_TARGET_DIR", self.folder.join("target")).env("CARGO_INCREMENTAL", "0");
         cargo.current_dir(self.work()).stderr(Stdio::inherit());
         cargo
@@ -154,14 +171,20 @@ impl ScratchCopy {
         let of = |line: &Value| {
             let program = line["executable"].as_str()?;
             let name = line["target"]["name"].as_str()?;
-            (line["profile"]["test"] == true)
-                .then(|| TestProgram { name: name.to_owned(), program: PathBuf::from(program) })
+            let folder = Path::new(line["manifest_path"].as_str()?).parent()?.to_owned();
+            (line["profile"]["test"] == true).then(|| TestProgram {
+                name: name.to_owned(),
+                program: PathBuf::from(program),
+                folder,
+            })
         };
         let tests: Vec<TestProgram> = said.iter().filter_map(of).collect();
         if !success || tests.is_empty() {
             return Err("the tests of the copy were not built".to_owned());
         }
-        let lines = tests.iter().map(|tests| format!("{}\t{}\n", tests.name, tests.program.display()));
+        let lines = tests
+            .iter()
+            .map(|tests| format!("{}\t{}\t{}\n", tests.name, tests.program.display(), tests.folder.display()));
         write(&self.file(BUILT), lines.collect::<String>())?;
         Ok(tests)
     }
@@ -171,8 +194,9 @@ impl ScratchCopy {
         let path = self.file(BUILT);
         let text = std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
         let of = |line: &str| {
-            let (name, program) = line.split_once('\t')?;
-            Some(TestProgram { name: name.to_owned(), program: PathBuf::from(program) })
+            let [name, program, folder] = line.split('\t').collect::<Vec<&str>>()[..] else { return None };
+            let (name, program, folder) = (name.to_owned(), PathBuf::from(program), PathBuf::from(folder));
+            Some(TestProgram { name, program, folder })
         };
         Ok(text.lines().filter_map(of).collect())
     }

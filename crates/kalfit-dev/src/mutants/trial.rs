@@ -44,7 +44,6 @@ enum TrialEnd {
 
 /// A run of tests with a mutant, or with none.
 struct TrialRun<'a> {
-    scratch: &'a ScratchCopy,
     tests: &'a TestProgram,
     names: Vec<&'a str>,
     limit: Duration,
@@ -55,9 +54,9 @@ impl TrialRun<'_> {
         let mut command = limited(&self.tests.program);
         command.args(["--exact", "--test-threads", "1"]).args(&self.names);
         command
-            .current_dir(self.scratch.core())
-            .env("CARGO_MANIFEST_DIR", self.scratch.core())
-            .env("INSTA_WORKSPACE_ROOT", self.scratch.core())
+            .current_dir(&self.tests.folder)
+            .env("CARGO_MANIFEST_DIR", &self.tests.folder)
+            .env("INSTA_WORKSPACE_ROOT", &self.tests.folder)
             .env("INSTA_UPDATE", "no")
             .env("PROPTEST_RNG_SEED", "1980")
             .env("PROPTEST_MAX_SHRINK_ITERS", "0")
@@ -125,7 +124,7 @@ pub(super) fn trials(scratch: &ScratchCopy, programs: &[TestProgram]) -> Result<
         for name in names {
             let _ = std::fs::remove_file(&met);
             let begun = Instant::now();
-            let run = TrialRun { scratch, tests, names: vec![&name], limit: Duration::from_secs(600) };
+            let run = TrialRun { tests, names: vec![&name], limit: Duration::from_secs(600) };
             if let TrialEnd::Failed(by) = run.run(("KALFIT_MUTANTS_MET", &met.display().to_string()))? {
                 failed.push(format!("{} {name}: {by}", tests.name));
             }
@@ -202,7 +201,7 @@ pub(super) fn fate(
             let seconds: f64 = batch.iter().map(|trial| trial.seconds).sum();
             let names = batch.iter().map(|trial| trial.name.as_str()).collect();
             let limit = Duration::from_secs_f64(seconds) * SLOWER + AND;
-            let run = TrialRun { scratch, tests: &programs[program], names, limit };
+            let run = TrialRun { tests: &programs[program], names, limit };
             if let TrialEnd::Failed(by) = run.run(("KALFIT_MUTANT", &mutant.to_string()))? {
                 return Ok(MutantFate::Killed(by));
             }

@@ -21,6 +21,7 @@ pub struct LevelPosteriors {
 /// Posterior of ξ of a test given all tests of its unit.
 #[derive(Debug, Clone, Default)]
 pub struct TestPosterior {
+    /// Posterior mean of ξ (p).
     pub mean: Vec<f64>,
     /// V, p × p by rows.
     pub covariance: Vec<f64>,
@@ -32,6 +33,7 @@ pub struct TestPosterior {
 /// the rest of its unit, from the population.
 #[derive(Debug, Clone, Default)]
 pub struct ScaledGroupPosterior {
+    /// Posterior mean of the mean of the members (p).
     pub mean: Vec<f64>,
     /// V, p × p by rows.
     pub covariance: Vec<f64>,

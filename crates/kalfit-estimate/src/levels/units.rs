@@ -21,6 +21,7 @@ use kalfit_model::Reduction;
 pub struct Units {
     /// p, number of states of a test.
     pub states: usize,
+    /// The groups that each test belongs to, level by level.
     pub grouping: Arc<Grouping>,
     /// Number in the grouping of the test of each reduction.
     pub(super) numbers: Arc<Vec<usize>>,

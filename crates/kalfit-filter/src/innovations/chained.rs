@@ -66,6 +66,7 @@ impl ChainedFilter {
         Ok(ChainedFilter { reducer, phases, plain: PhaseFilters::new(model, alpha)? })
     }
 
+    /// The reducer of tests in phases at the same α.
     pub fn reducer(&self) -> &PhasedReducer {
         &self.reducer
     }

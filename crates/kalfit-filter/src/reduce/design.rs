@@ -221,6 +221,7 @@ impl EqualSteps {
 /// once.
 #[derive(Debug, Clone)]
 pub struct Design {
+    /// The states in kernel order, and A.
     pub frame: Arc<StateFrame>,
     /// P0 on the noise-reachable states, r × r, row-major; only the lower triangle is read.
     pub variance: Vec<f64>,
@@ -252,7 +253,9 @@ pub struct Stretch<'a> {
 /// One step of a test.
 #[derive(Debug, Clone)]
 pub struct DesignStep<'a> {
+    /// Transition that leads to the step; `None` if there is none.
     pub transition: Option<&'a Arc<Transition>>,
+    /// Lines of the scalar measurements of the step: their terms h and variances R.
     pub lines: Range<usize>,
     /// Rows of the step: row `rows.start + i` has line `lines.start + i`.
     pub rows: Range<usize>,

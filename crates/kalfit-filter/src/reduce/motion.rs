@@ -71,6 +71,7 @@ enum InputSource {
 /// Transition of a step, without the inputs of the step.
 #[derive(Debug, Clone)]
 pub struct Moves {
+    /// φ and Q of the step.
     pub transition: Arc<Transition>,
     /// The flows of the components; empty where no input needs them.
     flows: Vec<f64>,

@@ -32,6 +32,7 @@ pub(crate) struct PhasePosition {
 #[derive(Debug)]
 pub struct PhaseReducer {
     position: PhasePosition,
+    /// Reducer of rows of the phase, in its entering coordinates.
     pub reducer: Reducer,
     /// Map by which the phase inherits from the phase before; `None` for the first phase.
     pub(crate) inheritance: Option<Inheritance>,

@@ -43,13 +43,18 @@ const TRANSITION_BYTES: usize = 16 << 20;
 /// A model at α, ready to evaluate tests.
 #[derive(Debug)]
 pub struct Preparer {
+    /// The model.
     pub model: Model,
     alpha: Alpha,
     /// Whether each parameter is free; empty where no derivatives are requested.
     free: Vec<bool>,
+    /// The motion of the model at α.
     pub dynamics: Dynamics,
+    /// The start of the model at α; its states are numbered as in the model.
     pub start: ModelStart,
+    /// Permutation between the states of the model and those of the kernels.
     pub order: Order,
+    /// How the entries of φ, Q and b follow from coefficients and flows.
     pub plan: MotionPlan,
     pub(crate) meters: Meters,
     /// Columns on which φ, Q, h, R and the selection of values depend: where the cells of these columns repeat, so do
@@ -89,9 +94,13 @@ struct StepRows {
 /// One evaluated test, and the work space of all its passes.
 #[derive(Debug)]
 pub struct Workspace {
+    /// The design of the test.
     pub design: Design,
+    /// The data of the test, in kernel order.
     pub data: Data,
+    /// The scalar measurements of the test, in the order of the design.
     pub instances: Instances,
+    /// Covariates of the test, one for each regression of the mean.
     pub covariates: Vec<f64>,
     /// Noise covariances (i, j, value) between scalar measurements of the test, where they are collected instead of
     /// whitened; `None` where measurements are whitened.
@@ -124,6 +133,7 @@ impl Workspace {
 }
 
 impl Preparer {
+    /// A preparer without derivatives; an error where the model cannot be evaluated at α.
     pub fn new(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
         Preparer::with_free(model, alpha, Vec::new())
     }
@@ -183,6 +193,7 @@ impl Preparer {
         })
     }
 
+    /// The model and α, from which coefficients are evaluated.
     pub fn at(&self) -> ModelAt<'_> {
         ModelAt { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
@@ -209,6 +220,7 @@ impl Preparer {
         self.law.as_ref()
     }
 
+    /// An empty work space for tests of this model.
     pub fn workspace(&self) -> Workspace {
         Workspace {
             design: Design::new(self.order.frame.clone()),

@@ -10,30 +10,52 @@ pub(crate) const WHOLE: &str = "the test";
 /// The quantity that is being computed, for error messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subject {
+    /// Derivative of a state, by its number.
     Derivative(usize),
+    /// Next value of a state, by its number.
     Next(usize),
+    /// Process noise variance of a state, by its number.
     ProcessNoise(usize),
+    /// Process noise covariance of two states, by their numbers.
     ProcessCovariance(usize, usize),
+    /// Transition of a step.
     Transition,
+    /// Equation of a measurement, by its number.
     Equation(usize),
+    /// Noise variance of a measurement, by its number.
     Noise(usize),
+    /// Condition `where` of a measurement, by its number.
     Filter(usize),
+    /// Measured value of a measurement, by its number.
     Value(usize),
+    /// Noise covariance of two measurements, by their numbers.
     NoiseCovariance(usize, usize),
+    /// Noise covariance of all measurements of a step.
     StepNoise,
+    /// Initial mean of a state, by its number.
     InitialMean(usize),
+    /// Initial variance of a state, by its number.
     InitialVariance(usize),
+    /// Stationary start of a state, by its number.
     StationaryLaw(usize),
+    /// Offset of a state, by its number.
     Offset(usize),
+    /// Known covariance of the initial states.
     KnownCovariance,
+    /// What a state, by its number, inherits from the phase before.
     Carry(usize),
+    /// Initial time.
     InitialTime,
+    /// Time of a row.
     Time,
+    /// Regression of the mean, by its number.
     Regression(usize),
+    /// The whole test.
     Test,
 }
 
 impl Subject {
+    /// The subject in words, with the names of the model.
     pub fn words(self, model: &Model) -> String {
         let state = |i: usize| &model.states[i].name;
         let meter = |i: usize| &model.measurements[i].name;
@@ -80,6 +102,7 @@ pub struct Fault {
 }
 
 impl Fault {
+    /// The error of a subject on no particular row.
     pub fn new(subject: Subject, kind: impl Into<ReduceErrorKind>) -> Box<Fault> {
         Box::new(Fault { subject, row: None, kind: kind.into() })
     }
@@ -89,6 +112,7 @@ impl Fault {
         self
     }
 
+    /// The error with the names of the model, and with the id and the source row of the test where one is given.
     pub fn name(self, model: &Model, test: Option<&Test>) -> ReduceError {
         ReduceError {
             test: test.map(|test| test.id.to_string()),

@@ -46,6 +46,7 @@ impl ExactConditional {
         ExactConditional(reduction.exact.and_then(|exact| Conditional::new(exact.matrix(law.root.nrows()), &law.root)))
     }
 
+    /// Mean of ξ given the exact measurements (p); μ of the test where there are none.
     pub fn mean(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> DVector<f64> {
         let mean = law.mean_of(reduction.covariates);
         match (&self.0, reduction.exact) {
@@ -54,6 +55,7 @@ impl ExactConditional {
         }
     }
 
+    /// Root F of the covariance FF' of ξ given the exact measurements; F of Σ where there are none.
     pub fn root<'a>(&'a self, law: &'a InitialLaw) -> &'a DMatrix<f64> {
         self.0.as_ref().map_or(&law.root, |known| &known.root)
     }

@@ -92,6 +92,7 @@ impl Answers {
 pub struct Remote {
     /// The free values of α.
     pub values: Vec<f64>,
+    /// All known answers, and the questions without one.
     pub answers: Arc<Answers>,
 }
 

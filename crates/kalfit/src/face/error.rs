@@ -2,6 +2,7 @@
 
 use kalfit_estimate::FitError;
 use kalfit_filter::reduce::ReduceError;
+use kalfit_lanes::UnknownInstructions;
 use kalfit_model::ParameterError;
 use kalfit_model::build::ColumnsError;
 use kalfit_record::MixedGroup;
@@ -22,6 +23,9 @@ pub enum EnsembleError {
     /// α cannot be estimated.
     #[error(transparent)]
     Dynamic(#[from] Box<DynamicError>),
+    /// The environment variable of the instruction set names one that this machine does not have.
+    #[error(transparent)]
+    Instructions(#[from] UnknownInstructions),
     /// There are free parameters where α must be known.
     #[error(transparent)]
     Parameters(#[from] ParameterError),

@@ -11,6 +11,7 @@ use kalfit_estimate as estimate;
 use kalfit_estimate::{Progress, Silent, Structure};
 use kalfit_filter::reduce::{Reductions, grouping};
 use kalfit_infer as infer;
+use kalfit_lanes::Isa;
 use kalfit_model::build::Columns;
 use kalfit_model::{Alpha, PhasedModel, Slots};
 use kalfit_model::{Grouping, Labels};
@@ -46,6 +47,7 @@ impl Ensemble {
 
 /// Reduces, estimates, infers and records; with free parameters, the search for them replaces the first two steps.
 fn fit_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
+    Isa::chosen()?;
     let (model, labels, tests) = (ensemble.model(), ensemble.labels(), ensemble.tests());
     let slots = Slots::in_phases(model, labels, tests);
     let mut fit = if slots.is_empty() {
@@ -72,7 +74,7 @@ fn fit_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress
     };
     fit.record.notes.extend(notes(model, labels, ensemble));
     if options.innovations {
-        second_look::add_innovations(&mut fit, tests);
+        with_innovations::add_innovations(&mut fit, tests);
     }
     if let Some(mut groups) = TestGroups::new(model.shared()) {
         groups.take(tests, labels)?;

@@ -1,5 +1,6 @@
 //! Fits to tests that are given by matrices step by step, or by their reductions.
 
+use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::face::error::EnsembleError;
@@ -47,6 +48,7 @@ pub fn fit_matrices(model: &PhasedModel, tests: &[Plain]) -> Result<Fit, Ensembl
 /// # Errors
 /// There are free parameters; a reduction has another number of unknowns than the model; there are no reductions.
 pub fn fit_reductions(model: &PhasedModel, reductions: Reductions, options: &Options) -> Result<Fit, EnsembleError> {
+    Isa::chosen()?;
     let alpha = Alpha::fixed(&model.shared().parameters)?;
     let expected = model.dimension();
     if let Some(other) = reductions.iter().find(|reduction| reduction.data.len() != expected) {

@@ -37,6 +37,7 @@ impl<T> Default for FilteredMoments<T> {
 /// A view of a state written by [`FilteredMoments::save`].
 #[derive(Debug, Clone, Copy)]
 pub struct FilterSnapshot<'a, T = f64> {
+    /// State x̄ at ξ = x̂ (n), in kernel order.
     pub x: &'a [T],
     pub(crate) P: &'a [T],
     pub(crate) Psi: &'a [T],

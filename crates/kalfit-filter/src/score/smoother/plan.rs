@@ -118,6 +118,7 @@ impl LaterInformation {
 }
 
 impl SmootherPlan {
+    /// The smoother for the phases of a test, `pieces`, under the laws of these phases.
     pub fn new(pieces: &[PhaseReduction], laws: &PhaseLaws) -> SmootherPlan {
         let laws = &laws.laws[..pieces.len()];
         let own = |piece: &PhaseReduction| unpack(&piece.reduction.factor, piece.reduction.data.len());
