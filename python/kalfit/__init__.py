@@ -8,27 +8,15 @@ Gyros on two bench stations
 ...
 """
 
-from kalfit._arrays import Ensemble
 from kalfit._data import Data, Table, TableLike
-from kalfit._fit import Estimate, Fit, GroupFit, Interrupted, Level, Parameter, Parameters, Phase, TestFit
-from kalfit._jobs import (
-    Step,
-    apply,
-    check,
-    compare,
-    datasheet,
-    estimates,
-    export,
-    fit,
-    plan,
-    predict,
-    reduce,
-    simulate,
-    test,
-    validate,
-)
+from kalfit._estimates import Estimate, Parameter, Parameters
+from kalfit._fit import Fit, Interrupted, apply, predict
+from kalfit._fitting import Ensemble, fit
+from kalfit._jobs import check, compare, datasheet, estimates, export, plan, reduce, simulate, test, validate
 from kalfit._kalfit import DataError, Error, FitError, ModelError, version
 from kalfit._model import Model, ModelLike
+from kalfit._population import Level, Phase
+from kalfit._progress import Step
 from kalfit._results import (
     Applied,
     Check,
@@ -41,6 +29,7 @@ from kalfit._results import (
     Simulation,
     Validation,
 )
+from kalfit._test_fits import GroupFit, TestFit
 
 __version__ = version()
 

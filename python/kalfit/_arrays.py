@@ -1,170 +1,25 @@
-"""Ensembles given by arrays, without a model file."""
+"""The arrays of state-space models become a table, and the words of a model file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Union
+from collections.abc import Sequence
+from typing import Any, Union
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kalfit import _kalfit
 from kalfit._data import Table
-from kalfit._model import Model
+from kalfit._numbers import Array
 
-if TYPE_CHECKING:
-    from kalfit._fit import Fit
+__all__ = ["Builder", "PerTest", "measured_tests", "per_row", "start_offsets_per_row"]
 
-__all__ = ["Ensemble"]
-
-Array = NDArray[np.float64]
 #: One array for all tests, or a list with an array for each.
 PerTest = Union[ArrayLike, Sequence[ArrayLike]]
 
 
-class Ensemble:
-    """Tests given by the arrays of their state-space models. Made by :meth:`from_arrays`.
-
-    It stands wherever data stand, beside the model that :meth:`model` makes for it, and :func:`kalfit.fit` and :meth:`fit` fit
-    it directly.
-    """
-
-    def __init__(self, table: Table, parts: Mapping[str, object], states: list[str], ids: list[str]) -> None:
-        #: The data: a row a step, a column for whatever is not the same in all rows.
-        self.table = table
-        #: Names of the states, in the order of the arrays.
-        self.states = states
-        #: Ids of the tests.
-        self.ids = ids
-        self._parts = parts
-
-    @classmethod
-    def from_arrays(
-        cls,
-        measurements: Sequence[ArrayLike] | Array,
-        *,
-        observation: PerTest,
-        noise: PerTest,
-        transition: PerTest | None = None,
-        process_noise: PerTest | None = None,
-        inputs: PerTest | None = None,
-        measurement_offsets: PerTest | None = None,
-        start_offsets: ArrayLike | None = None,
-        known_start: Mapping[str, tuple[float, float]] | None = None,
-        states: Sequence[str] | None = None,
-        ids: Sequence[str] | None = None,
-        step_first: bool = False,
-    ) -> Ensemble:
-        r"""Tests of the model
-
-        .. code-block:: text
-
-            x_k = F_k x_{k-1} + u_k + w_k,  w_k ~ N(0, Q_k)        z_k = H_k x_k + d_k + v_k,  v_k ~ N(0, R_k)
-
-        whose initial state has a mean and a covariance over the tests that are to be estimated. No transition precedes the
-        first row of a test, unless ``step_first``.
-
-        ============================ ============ ===================================================================
-        argument                     one step     what it is
-        ============================ ============ ===================================================================
-        ``measurements``             (m,)         z: a list with an array (steps, m) for each test, or one array
-                                                  (tests, steps, m); NaN: not measured
-        ``observation``              (m, n)       H
-        ``noise``                    (m, m)       R, a covariance
-        ``transition``               (n, n)       F; identity when None
-        ``process_noise``            (n, n)       Q, a covariance; none when None
-        ``inputs``                   (n,)         u; none when None
-        ``measurement_offsets``      (m,)         d; none when None
-        ``start_offsets``            (n,)         known amount of x_0 beside what is estimated: (n,) or (tests, n)
-        ============================ ============ ===================================================================
-
-        Each of those from ``observation`` to ``measurement_offsets`` is one array of one step's shape, the same always; or an
-        array (steps, ...), the same for all tests, of which a shorter test takes the beginning; or a list with one of these for
-        each test. Values that no measurement needs may be NaN.
-
-        ``known_start`` names states whose start is known, with its mean and standard deviation: they are not part of what is
-        estimated. ``states`` and ``ids`` are names of the states (``x1``, ``x2``, ...) and of the tests (``1``, ``2``, ...).
-
-        >>> import numpy, kalfit
-        >>> line = numpy.array([[[1.0, 0.0]], [[1.0, 5.0]], [[1.0, 10.0]]])          # H: 3 steps, m = 1, n = 2
-        >>> ends = [(1.0, 2.1), (0.2, 0.3), (1.9, 4.2), (0.8, 0.9), (1.1, 3.0), (0.4, 1.2)]
-        >>> ensemble = kalfit.Ensemble.from_arrays(
-        ...     [numpy.array([[a], [0.5 * (a + b)], [b]]) for a, b in ends],
-        ...     observation=line, noise=[[0.01]], states=["intercept", "slope"],
-        ... )
-        >>> ensemble
-        <kalfit.Ensemble: 6 tests, 18 rows, states intercept, slope>
-        >>> fit = ensemble.fit(covariance={"structure": "diagonal"})
-        >>> fit.mean.round(6).tolist()
-        [0.9, 0.105]
-
-        Raises :class:`ValueError` for arrays whose shapes do not go together.
-        """
-        z = _measurements(measurements)
-        rows = [len(test) for test in z]
-        m = z[0].shape[1]
-        h = _per_row("observation", observation, (m, -1), rows)
-        n = h.shape[2]
-        names = [f"x{i + 1}" for i in range(n)] if states is None else [str(name) for name in states]
-        if len(names) != n or len(set(names)) != n:
-            raise ValueError(f"states has {len(names)} names ({', '.join(names)}), expected {n} different ones, as H has columns")
-        labels = [str(i + 1) for i in range(len(z))] if ids is None else [str(label) for label in ids]
-        if len(labels) != len(z) or len(set(labels)) != len(z):
-            raise ValueError(f"ids has {len(labels)} texts, expected {len(z)} different ones, as there are tests")
-        builder = _Builder(np.concatenate(z), names)
-        builder.motion(
-            _per_row("transition", np.eye(n) if transition is None else transition, (n, n), rows),
-            _per_row("process_noise", np.zeros((n, n)) if process_noise is None else process_noise, (n, n), rows),
-            _per_row("inputs", np.zeros(n) if inputs is None else inputs, (n,), rows),
-        )
-        builder.observed(
-            h,
-            _per_row("noise", noise, (m, m), rows),
-            _per_row("measurement_offsets", np.zeros(m) if measurement_offsets is None else measurement_offsets, (m,), rows),
-        )
-        builder.starts(_starts(start_offsets, n, rows), dict(known_start or {}))
-        return cls(builder.table(np.repeat(labels, rows)), builder.parts(step_first), names, labels)
-
-    def model(
-        self,
-        *,
-        mean: Mapping[str, object] | None = None,
-        covariance: Mapping[str, object] | None = None,
-        title: str = "",
-    ) -> Model:
-        """The model of these tests, with the structure of a model file's ``[mean]`` and ``[covariance]``."""
-        parts: dict[str, object] = {"title": title, **self._parts}
-        if mean is not None:
-            parts["mean"] = mean
-        if covariance is not None:
-            parts["covariance"] = covariance
-        return Model(parts)
-
-    def fit(
-        self,
-        *,
-        mean: Mapping[str, object] | None = None,
-        covariance: Mapping[str, object] | None = None,
-        title: str = "",
-        **options: Any,
-    ) -> Fit:
-        """Fits these tests; ``options`` are those of :func:`kalfit.fit`."""
-        from kalfit._jobs import fit
-
-        return fit(self.model(mean=mean, covariance=covariance, title=title), self, **options)
-
-    def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
-        """A capsule with an Arrow C stream of :attr:`table`."""
-        return self.table.__arrow_c_stream__(requested_schema)
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def __repr__(self) -> str:
-        return f"<kalfit.Ensemble: {len(self)} tests, {len(self.table)} rows, states {', '.join(self.states)}>"
-
-
-def _measurements(measurements: Sequence[ArrayLike] | Array) -> list[Array]:
+def measured_tests(measurements: Sequence[ArrayLike] | Array) -> list[Array]:
+    """What each test measured, (steps, m)."""
     if isinstance(measurements, np.ndarray) and measurements.ndim != 3:
         raise ValueError(
             f"measurements is an array of shape {measurements.shape}, expected (tests, steps, m), or a list of arrays (steps, m)"
@@ -179,7 +34,7 @@ def _measurements(measurements: Sequence[ArrayLike] | Array) -> list[Array]:
     return tests
 
 
-def _per_row(name: str, given: PerTest, shape: tuple[int, ...], rows: list[int]) -> Array:
+def per_row(name: str, given: PerTest, shape: tuple[int, ...], rows: list[int]) -> Array:
     """The values for every row of every test, one test after the other."""
     base = len(shape)
     if isinstance(given, (list, tuple)) and len(given) == len(rows) and not _is_one_step(given, shape):
@@ -214,7 +69,8 @@ def _is_one_step(given: Sequence[Any], shape: tuple[int, ...]) -> bool:
     return whole.ndim == len(shape)
 
 
-def _starts(offsets: ArrayLike | None, n: int, rows: list[int]) -> Array:
+def start_offsets_per_row(offsets: ArrayLike | None, n: int, rows: list[int]) -> Array:
+    """The known amount of its test's initial state for every row, (rows, n)."""
     if offsets is None:
         return np.zeros((sum(rows), n))
     each = np.asarray(offsets, dtype=np.float64)
@@ -223,7 +79,7 @@ def _starts(offsets: ArrayLike | None, n: int, rows: list[int]) -> Array:
     return np.repeat(np.broadcast_to(each, (len(rows), n)), rows, axis=0)
 
 
-class _Builder:
+class Builder:
     """Puts arrays into the words of a model file: a number where a value is always the same, a column where it is not."""
 
     def __init__(self, z: Array, names: list[str]) -> None:

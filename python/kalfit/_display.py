@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from kalfit._fit import Fit, Phase
+from kalfit._fit_record import FitRecord
+from kalfit._population import Phase
 
 __all__ = ["html"]
 
@@ -18,7 +18,7 @@ _MOST_PARAMETERS = 40
 _NORMAL95 = 1.959963984540054
 
 
-def html(fit: Fit) -> str:
+def html(fit: FitRecord) -> str:
     """The fit as a piece of HTML without scripts, that refers to nothing outside."""
     record = fit._record
     state = "converged" if fit.converged else "<b>not converged</b>"
@@ -40,7 +40,7 @@ def html(fit: Fit) -> str:
     return "".join(parts)
 
 
-def _model_check(fit: Fit) -> str:
+def _model_check(fit: FitRecord) -> str:
     checked = fit.model_check
     if not checked["findings"]:
         return f"model check: {escape(checked['verdict'])}"
@@ -68,7 +68,7 @@ def _table(heads: list[str], rows: list[list[str]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _phase_table(phase: Phase, fit: Fit) -> str:
+def _phase_table(phase: Phase, fit: FitRecord) -> str:
     """Means and standard deviations; where there are levels, the standard deviations of each."""
     means = [phase.mean, phase.mean_std_error.tolist()]
     spreads = [[spread.std_dev, spread.std_dev_std_error.tolist()] for spread in fit.levels or [phase]]
@@ -81,14 +81,14 @@ def _phase_table(phase: Phase, fit: Fit) -> str:
     return head + _table(["state", "unit", "mean ± std. error", *heads], rows)
 
 
-def _steps(fit: Fit) -> list[str]:
+def _steps(fit: FitRecord) -> list[str]:
     """From whom to whom each level varies, the outermost first; nothing without levels."""
     names = ["test" if level.column is None else level.name for level in fit.levels]
     above = ["", *(f" of one {name}" for name in names)]
     return [f", {name} to {name}{of}" for name, of in zip(names, above)]
 
 
-def _parameter_table(fit: Fit) -> str:
+def _parameter_table(fit: FitRecord) -> str:
     rows = []
     for parameter in fit.parameters[:_MOST_PARAMETERS]:
         name = parameter.name if parameter.level is None else f"{parameter.name}[{parameter.level}]"
@@ -101,12 +101,12 @@ def _parameter_table(fit: Fit) -> str:
     return text + (f"<p>and {rest} more parameters</p>" if rest > 0 else "")
 
 
-def _notes(fit: Fit) -> str:
+def _notes(fit: FitRecord) -> str:
     items = "".join(f"<li>{escape(note)}</li>" for note in fit.notes)
     return f"<ul>{items}</ul>" if items else ""
 
 
-def _forest(fit: Fit, phase: Phase) -> str:
+def _forest(fit: FitRecord, phase: Phase) -> str:
     """Each test's own state with its 95 % interval, beside the population's mean and the range of 95 % of its tests."""
     step = max(1, -(-len(fit._results) // _MOST_TESTS))
     shown = [test for test in fit._some_tests(step) if phase.name in test.means]

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from kalfit._fit import Estimate, Fit, Phase
+from kalfit._estimates import Estimate
+from kalfit._fit_record import FitRecord
+from kalfit._population import Phase
 
 _BLUE, _ORANGE, _FAINT = "#0072b2", "#d55e00", "#777777"
 #: Tests whose influence is drawn, pairs of states, outliers that are named.
 _MOST_TESTS, _MOST_PAIRS, _MOST_NAMES = 30, 6, 12
 
 
-def plot(fit: Fit, what: str) -> Any:
+def plot(fit: FitRecord, what: str) -> Any:
     """A ``matplotlib.figure.Figure``."""
     kinds = {"forest": _forest, "ellipses": _ellipses, "influence": _influence}
     if what not in kinds:
@@ -32,7 +33,7 @@ def plot(fit: Fit, what: str) -> Any:
     return figure
 
 
-def _forest(fit: Fit, figure: Any) -> None:
+def _forest(fit: FitRecord, figure: Any) -> None:
     drawn = [own for own in fit.estimates.values() if own.kind in ("mean", "std_dev", "parameter") and own.estimate is not None]
     drawn = [own for own in drawn if own.kind != "parameter" or own.status != "fixed"]
     groups: dict[tuple[str, str | None], list[Estimate]] = {}
@@ -55,7 +56,7 @@ def _forest(fit: Fit, figure: Any) -> None:
         ax.grid(axis="x", alpha=0.3)
 
 
-def _ellipses(fit: Fit, figure: Any) -> None:
+def _ellipses(fit: FitRecord, figure: Any) -> None:
     pairs = [
         (phase, k, i)
         for phase in fit.phases
@@ -75,7 +76,7 @@ def _ellipses(fit: Fit, figure: Any) -> None:
         _pair(fit, phase, (k, i), ax)
 
 
-def _pair(fit: Fit, phase: Phase, at: tuple[int, int], ax: Any) -> None:
+def _pair(fit: FitRecord, phase: Phase, at: tuple[int, int], ax: Any) -> None:
     for part in (0.5, 0.95):
         x, y = ellipse(phase.mean[[*at]], phase.covariance[np.ix_(at, at)], part)
         ax.plot(x, y, color=_FAINT, linewidth=1)
@@ -112,7 +113,7 @@ def ellipse(mean: NDArray[np.float64], covariance: NDArray[np.float64], part: fl
     return edge
 
 
-def _influence(fit: Fit, figure: Any) -> None:
+def _influence(fit: FitRecord, figure: Any) -> None:
     import json
 
     tests = json.loads(fit._results.tests(1))

@@ -23,8 +23,9 @@ from typing import Any, Literal
 from kalfit import _kalfit
 from kalfit._data import Table
 from kalfit._fit import Fit
-from kalfit._jobs import Progress, Set, Step, _how, _said, _source
+from kalfit._given import Set, source_text
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
+from kalfit._progress import Progress, Step, how, write_progress
 
 __all__ = ["apply", "fit", "reduce"]
 
@@ -91,12 +92,12 @@ def fit(
     theta, asked = _kalfit.first_theta(document)
     packed = _packed(known, frame, [] if reduced else _order(known, frame, order_by), partitions, reduced)
     ask = _Rounds(packed, document)
-    tell = _said if progress is True else progress or None
+    tell = write_progress if progress is True else progress or None
     try:
         for round in range(1, sys.maxsize):
             if tell is not None:
                 tell(Step(f"round {round}: sums over the tests"))
-            after, results = _kalfit.join(document, criterion, theta, ask.sums(asked), _how(None, False))
+            after, results = _kalfit.join(document, criterion, theta, ask.sums(asked), how(None, False))
             if results is not None:
                 found = Fit(results)
                 found._made_with = (model, set)
@@ -122,7 +123,7 @@ def reduce(
     Free parameters take their values from ``at`` or ``set``, as in :func:`kalfit.reduce`. Rows are put in order as in :func:`fit`.
     """
     known = as_model(model)
-    document, source = (known._document(), assignments(set)), None if at is None else _source(at)
+    document, source = (known._document(), assignments(set)), None if at is None else source_text(at)
     packed = _packed(known, frame, _order(known, frame, order_by), partitions)
     schema = ", ".join(f"{name} {kind}" for name, kind in {**_COLUMNS, _METADATA: "string"}.items())
 
@@ -148,7 +149,7 @@ def apply(
     from pyspark.sql.pandas.types import from_arrow_schema
 
     known = as_model(model)
-    document, text = (known._document(), assignments(set)), _source(source)
+    document, text = (known._document(), assignments(set)), source_text(source)
     order = _order(known, frame, order_by)
     first = frame.select(known.test).where(functions.col(str(known.test)).isNotNull()).limit(1).collect()
     if not first:

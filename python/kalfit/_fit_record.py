@@ -1,0 +1,191 @@
+"""What the results of a fit say.
+
+What draws or sends a fit needs no more than this: files that do so stand between it and :class:`kalfit.Fit`.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from functools import cached_property
+from typing import Any
+
+from kalfit import _kalfit
+from kalfit._estimates import Estimate, Parameters, estimate_of, parameter_of
+from kalfit._numbers import Array, MaskedArray, number
+from kalfit._population import Level, Phase
+from kalfit._test_fits import GroupFit, TestFit, group_fit_of, test_fit_of
+
+__all__ = ["FitRecord"]
+
+
+class FitRecord:
+    """What the results of a fit say of the population, of its parameters and of the tests."""
+
+    def __init__(self, results: str | _kalfit.Results, name: str) -> None:
+        self._results = _kalfit.Results(name, results) if isinstance(results, str) else results
+
+    def to_json(self) -> str:
+        """All results as JSON, as ``kalfit fit --out`` writes it."""
+        return self._results.json()
+
+    def to_dict(self) -> dict[str, Any]:
+        """All results, as the JSON has them. Each call makes a new dictionary."""
+        result: dict[str, Any] = json.loads(self.to_json())
+        return result
+
+    @cached_property
+    def _record(self) -> dict[str, Any]:
+        """All but the tests, of which there may be very many."""
+        record: dict[str, Any] = json.loads(self._results.head())
+        return record
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """Each phase of the model; one, named ``main``, in a model without phases."""
+        return tuple(Phase(phase) for phase in self._record["phases"])
+
+    @cached_property
+    def levels(self) -> tuple[Level, ...]:
+        """What varies at each level of groups, the outermost first, and last from test to test; none without levels."""
+        return tuple(Level(level) for level in self._record.get("levels", []))
+
+    def level(self, name: str) -> Level:
+        """The level of this name; ``tests`` is the tests' own."""
+        for level in self.levels:
+            if level.name == name:
+                return level
+        names = ", ".join(level.name for level in self.levels) or "none"
+        raise KeyError(f"there is no level {name!r}, there are {names}")
+
+    @cached_property
+    def groups(self) -> list[GroupFit]:
+        """What is known of each group, level by level from the outermost on."""
+        return [group_fit_of(record) for record in self._record.get("groups", [])]
+
+    def phase(self, name: str) -> Phase:
+        """The phase of this name."""
+        for phase in self.phases:
+            if phase.name == name:
+                return phase
+        raise KeyError(f"there is no phase {name!r}, there are {', '.join(phase.name for phase in self.phases)}")
+
+    @property
+    def _only(self) -> Phase:
+        if len(self.phases) == 1:
+            return self.phases[0]
+        names = ", ".join(repr(phase.name) for phase in self.phases)
+        raise ValueError(f"the fit has phases {names}: ask one of them, as in fit.phase({self.phases[0].name!r}).mean")
+
+    @property
+    def states(self) -> list[str]:
+        """Names of the estimated states, in the order of every array."""
+        return self._only.states
+
+    @property
+    def mean(self) -> Array:
+        """Mean of the initial state over the population, shape (p,)."""
+        return self._only.mean
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the initial state over the population, shape (p, p)."""
+        return self._only.covariance
+
+    @property
+    def std_dev(self) -> Array:
+        """Standard deviations, shape (p,)."""
+        return self._only.std_dev
+
+    @property
+    def correlation(self) -> MaskedArray:
+        """Correlations, shape (p, p); masked beside a variance of zero."""
+        return self._only.correlation
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Dynamic parameters: ``fit.parameters["tau"].estimate``."""
+        return Parameters([parameter_of(record) for record in self._record["parameters"]])
+
+    @cached_property
+    def tests(self) -> list[TestFit]:
+        """What each test says."""
+        return self._some_tests(1)
+
+    def _some_tests(self, every: int) -> list[TestFit]:
+        return [test_fit_of(record) for record in json.loads(self._results.tests(every))]
+
+    @cached_property
+    def estimates(self) -> dict[str, Estimate]:
+        """Every number of the fit by its name: ``fit.estimates["mean[bias]"].interval95``."""
+        return {row["name"]: estimate_of(row) for row in json.loads(self._results.quantities())}
+
+    @property
+    def constraints(self) -> list[dict[str, Any]]:
+        """Each constrained element and what the constraint costs."""
+        result: list[dict[str, Any]] = copy.deepcopy(self._record["constraints"])
+        return result
+
+    @property
+    def title(self) -> str:
+        """Title of the model."""
+        return str(self._record["title"])
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood, every constant included."""
+        return float(self._record["log_likelihood"])
+
+    @property
+    def aic(self) -> float | None:
+        """Akaike's criterion; None where it has no meaning."""
+        return number(self._record["aic"])
+
+    @property
+    def bic(self) -> float | None:
+        """Schwarz's criterion; None where it has no meaning."""
+        return number(self._record["bic"])
+
+    @property
+    def free_parameters(self) -> int:
+        """Declared free quantities."""
+        return int(self._record["free_parameters"])
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimality conditions hold."""
+        return bool(self._record["converged"])
+
+    @property
+    def reason(self) -> str:
+        """Why the search ended, in words."""
+        return str(self._record["reason"])
+
+    @property
+    def model_check(self) -> dict[str, Any]:
+        """Whether the model describes the data: ``verdict`` (passed, doubtful, not checked), the ``findings`` that speak
+        against it and ``remarks`` that limit its answer, each with ``kind`` and ``text``."""
+        none: dict[str, Any] = {"verdict": "not checked", "findings": [], "remarks": []}
+        return none | (self._record.get("model_check") or {})
+
+    @property
+    def by_group(self) -> list[dict[str, Any]]:
+        """The tests of each group of ``[data] group`` together: ``group``, ``tests``, ``log_likelihood``,
+        ``innovations_mean_square``, ``distance`` and more."""
+        return [dict(group) for group in self._record.get("by_group") or []]
+
+    @property
+    def group_test(self) -> dict[str, Any] | None:
+        """Whether the groups differ, where ``group_test=True`` was asked for."""
+        found = self._record.get("group_test")
+        return None if found is None else dict(found)
+
+    @property
+    def certificate(self) -> dict[str, float]:
+        """How far the optimality conditions are from being met, part by part."""
+        return dict(self._record["certificate"])
+
+    @property
+    def notes(self) -> list[str]:
+        """Findings in plain words."""
+        return list(self._record.get("notes", []))
