@@ -2,6 +2,7 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
 
 mod book;
+mod budget;
 mod browser;
 mod fuzz;
 mod places;
@@ -60,6 +61,9 @@ enum DevTask {
     /// Runs the program on damaged models, tables, exchange files and results: no run may panic, hang, or leave what is not whole. Best
     /// built with `--release`.
     Fuzz(fuzz::FuzzOptions),
+    /// Measures what building costs, beside the budgets of CONTRIBUTING: seconds from a changed line to its tests, and with `--all` an
+    /// installation and the test command from nothing.
+    Budget(budget::BudgetOptions),
     /// Writes into the pages of the book what its commands print, and its reference anew from the code. Read the difference.
     Book {
         /// Show the book in a browser instead; mdBook is installed into the target directory where it is missing.
@@ -83,6 +87,7 @@ enum DevTask {
 fn main() -> ExitCode {
     match DevArguments::parse().task {
         DevTask::Test { only } => test::run(only.as_deref()),
+        DevTask::Budget(options) => budget::run(&options),
         DevTask::Fuzz(options) => fuzz::run(&options),
         DevTask::Book { open: true } => book::open(),
         DevTask::Book { open: false } => book::write(),

@@ -206,7 +206,7 @@ mod tests {
     #[test]
     fn dependencies_are_no_more_than_were_agreed() {
         let lock = std::fs::read_to_string(places::root().join("Cargo.lock")).expect("it is in the repository");
-        let packages = lock.lines().filter(|line| *line == "[[package]]").count();
-        assert!(packages <= 250, "Cargo.lock holds {packages} packages, expected no more than 250");
+        let packages = lock.lines().filter(|line| line.starts_with("source = ")).count(); // our own crates have none
+        assert!(packages <= 241, "Cargo.lock holds {packages} packages of others, expected no more than 241");
     }
 }

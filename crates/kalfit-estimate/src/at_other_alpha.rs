@@ -25,7 +25,6 @@ use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_filter::score::InitialLaw;
 use kalfit_model::remote::Question;
 use kalfit_model::{Alpha, StructureError};
-use rayon::prelude::*;
 
 /// The objective, evaluated at one point under given reductions.
 #[derive(Debug)]

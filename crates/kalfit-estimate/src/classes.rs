@@ -261,6 +261,11 @@ impl Classes {
         self.places.len()
     }
 
+    /// True where there are no classes.
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+
     /// The class with a number, which is read into `buffer` where it is in blocks.
     pub(crate) fn get<'a>(&'a self, number: usize, buffer: &'a mut Class) -> ClassRef<'a> {
         if let ClassIndex { kind: ClassKind::Listed, at } = self.places[number] {

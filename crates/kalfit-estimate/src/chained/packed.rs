@@ -18,7 +18,7 @@ use kalfit_model::Chain;
 
 /// Classes of one shape, one in each lane; remaining lanes hold a class without tests.
 #[derive(Debug, Clone)]
-pub(crate) struct Packed {
+pub struct Packed {
     pub(crate) members: Vec<usize>,
     shape: Arc<ChainShape>,
     lanes: usize,

@@ -112,18 +112,18 @@ impl PhaseReducer {
         (designs, linked): (bool, bool),
     ) -> Result<ReducedPhase<'a>, ReduceError> {
         let part = match (evidence, &self.filter) {
-            (Evidence::Rows(rows), None) => self.from_rows(rows, self.reduce_to_end(rows, work, designs), cells),
+            (Evidence::Rows(rows), None) => self.reduce_rows(rows, self.reduce_to_end(rows, work, designs), cells),
             (Evidence::Rows(rows), Some(filter)) => {
-                filter.run(rows).and_then(|estimates| self.from_estimates(id, &estimates, cells))
+                filter.run(rows).and_then(|estimates| self.reduce_estimates(id, &estimates, cells))
             }
-            (Evidence::Estimates(estimates), _) => self.from_estimates(id, estimates, cells),
-            (Evidence::Reduced(piece), _) => self.from_reduction(id, piece, linked),
+            (Evidence::Estimates(estimates), _) => self.reduce_estimates(id, estimates, cells),
+            (Evidence::Reduced(piece), _) => self.continue_reduction(id, piece, linked),
         };
         part.map_err(|error| self.named(error))
     }
 
     /// Reduces the phase from estimates of a filter that need not be optimal, run here or elsewhere.
-    fn from_estimates<'a>(
+    fn reduce_estimates<'a>(
         &'a self,
         id: &str,
         estimates: &Estimates,
@@ -152,10 +152,10 @@ impl PhaseReducer {
         found: ReducedWithEnd,
         cells: &mut GatheredCells,
     ) -> Result<ReducedPhase<'a>, ReduceError> {
-        self.from_rows(rows, found, cells).map_err(|error| self.named(error))
+        self.reduce_rows(rows, found, cells).map_err(|error| self.named(error))
     }
 
-    fn from_rows<'a>(
+    fn reduce_rows<'a>(
         &'a self,
         rows: &Test,
         found: ReducedWithEnd,
@@ -188,7 +188,7 @@ impl PhaseReducer {
     }
 
     /// A reduction made before, if it has the shape of this phase.
-    fn from_reduction<'a>(
+    fn continue_reduction<'a>(
         &self,
         id: &str,
         piece: &'a PhaseReduction,
