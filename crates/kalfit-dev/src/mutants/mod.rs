@@ -80,7 +80,7 @@ fn campaign(options: &MutantOptions) -> Result<bool, String> {
     for (k, mutant) in mutants.iter().enumerate() {
         if options.only.is_empty() || options.only.contains(&k) {
             let begun = Instant::now();
-            let fate = trial::fate((&scratch, &programs), &trials, k, options.seconds)?;
+            let fate = trial::fate(&programs, &trials, k, options.seconds)?;
             println!("{}\n       {}, {:.0} s", line(k, mutant), said(mutant, &fate), begun.elapsed().as_secs_f64());
             fates.push((k, fate));
         }

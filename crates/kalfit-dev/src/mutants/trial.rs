@@ -183,7 +183,7 @@ fn listed(tests: &TestProgram) -> Result<Vec<String>, String> {
 
 /// Runs the tests that meet a mutant, the quickest first, until one fails or they have taken so many seconds.
 pub(super) fn fate(
-    (scratch, programs): (&ScratchCopy, &[TestProgram]),
+    programs: &[TestProgram],
     trials: &[MutantTrial],
     mutant: usize,
     seconds: f64,
