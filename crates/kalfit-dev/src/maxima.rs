@@ -233,13 +233,13 @@ mod tests {
     /// and hardly any lies below another without a word.
     #[test]
     fn searches_from_all_starts_end_at_one_maximum() {
-        let seeds = [2066, 2091, 2174, 2279, 2783, 4012, 4103, 9184, 9285, 9366, 9444];
+        let seeds = [2066, 2174, 2783, 4103, 9184, 9366]; // `cargo dev maxima` draws thousands
         let outcomes: Vec<MaximaOutcome> = seeds.into_par_iter().map(|seed| examine(seed, 0)).collect();
         let count = |of: fn(&MaximaOutcome) -> usize| outcomes.iter().map(of).sum::<usize>();
         let (fits, certified) = (count(|outcome| outcome.fits), count(|outcome| outcome.certified));
         let (below, silent) = (count(|outcome| outcome.below), count(|outcome| outcome.silent));
         println!("{fits} fits: {certified} certified, {below} below another, {silent} of them without a word");
-        assert!(10 * certified >= 9 * fits && fits >= 50, "{certified} of {fits} ends are certified");
+        assert!(10 * certified >= 9 * fits && fits >= 28, "{certified} of {fits} ends are certified");
         assert!(20 * silent <= certified, "{silent} of {certified} ends lie below another without a word");
         assert!(10 * below <= certified, "{below} of {certified} ends lie below another");
     }
@@ -248,7 +248,7 @@ mod tests {
     /// exchangeable processes may be in the place of one.
     #[test]
     fn profile_intervals_end_where_all_else_fitted_says() {
-        for seed in [1987, 1989, 3004] {
+        for seed in [1987, 3004] {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
             let drawn = DrawnModel::new(&mut random, seed);
             let found = profiles::ends(&drawn, seed, &mut random);

@@ -14,6 +14,7 @@ use kalfit_model::{SparseColumn, Texts};
 /// few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
 ///
 /// ```
+/// # mod kalfit { pub use kalfit_record as record; }
 /// use kalfit::record::{TestRecords, TestRow};
 ///
 /// # fn read(json: &str) -> serde_json::Result<()> {

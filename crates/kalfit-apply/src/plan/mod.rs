@@ -67,6 +67,7 @@ pub struct Plan {
 /// makes such reductions); the dynamic parameters are taken as known.
 ///
 /// ```
+/// # mod kalfit { pub use {kalfit_apply::plan, kalfit_estimate as estimate, kalfit_filter::reduce, kalfit_model::*}; }
 /// use kalfit::estimate::Structure;
 /// use kalfit::model::{CovarianceStructure, MeanStructure};
 /// use kalfit::plan::{Quantity, plan};

@@ -18,6 +18,7 @@ use kalfit_model::{SparseColumn, Texts};
 /// pieces of memory, which are read from front to back.
 ///
 /// ```
+/// # mod kalfit { pub use {kalfit_filter::reduce::{self, Reductions}, kalfit_model::Reduction}; }
 /// use kalfit::{Reduction, Reductions};
 /// # use kalfit::reduce::Path;
 /// # let test = |id: &str| Reduction {

@@ -62,6 +62,7 @@ pub struct Drawn {
 /// Draws tests of a model at α from a population.
 ///
 /// ```
+/// # mod kalfit { pub use {kalfit_filter::*, kalfit_model::*}; }
 /// use kalfit::model::{
 ///     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, State,
 /// };

@@ -13,6 +13,7 @@ use crate::model::{Model, PhasedModel};
 /// Collects the parts of a model. Its clones can serve as the common part of several models or phases.
 ///
 /// ```
+/// # use kalfit_model as kalfit;
 /// use kalfit::build::{constant, free, gauss_markov, measurement, name};
 ///
 /// let model = kalfit::Model::builder("Gyros on a bench")

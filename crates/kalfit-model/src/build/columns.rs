@@ -9,6 +9,7 @@ use crate::model::{Column, PhasedModel};
 /// missing text.
 ///
 /// ```
+/// # use kalfit_model as kalfit;
 /// use kalfit::build::Columns;
 ///
 /// let test = Columns::new("g07")

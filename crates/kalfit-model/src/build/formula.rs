@@ -8,6 +8,7 @@ use crate::model::{Function, Operator};
 /// operators combine formulas and numbers. Any number but zero counts as true.
 ///
 /// ```
+/// # use kalfit_model as kalfit;
 /// use kalfit::build::{dt, name};
 ///
 /// let line = name("intercept") + name("slope") * (name("day") - 3.0);

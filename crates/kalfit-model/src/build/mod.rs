@@ -11,7 +11,7 @@
 //! Columns of each test ───────────────────┴─ Ensemble::new ──> Ensemble ── fit ──> Fit
 //! ```
 //!
-//! The [`guide`](kalfit::guide) shows whole fits.
+//! The module `guide` of the crate `kalfit` shows whole fits.
 
 mod builder;
 mod columns;

@@ -15,6 +15,7 @@ use crate::model::{Carry, Filter, Initial, Model, Phase, PhasedModel};
 /// Collects phases, in the order in which they happen.
 ///
 /// ```
+/// # use kalfit_model as kalfit;
 /// use kalfit::build::{constant, measurement, name, phase};
 /// use kalfit::PhasedModel;
 ///

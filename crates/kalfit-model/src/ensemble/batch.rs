@@ -9,6 +9,7 @@ use crate::ensemble::{Label, Source, Test, TestId};
 /// however many tests there are.
 ///
 /// ```
+/// # use kalfit_model as kalfit;
 /// use kalfit::{Source, TestBatch};
 /// let mut batch = TestBatch::new(1, 0);
 /// for (id, row) in [("a", 2), ("b", 3)] {

@@ -9,6 +9,7 @@ use std::sync::Arc;
 /// The id of a test: a part of one text that holds the ids of all tests read together. A copy costs no memory.
 ///
 /// ```
+/// # use kalfit_model as kalfit;
 /// use kalfit::TestId;
 /// let id = TestId::from("unit 7");
 /// assert_eq!((&id[..4], id == "unit 7", id.to_string()), ("unit", true, "unit 7".to_owned()));
