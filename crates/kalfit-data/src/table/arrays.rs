@@ -4,12 +4,12 @@ use std::fmt::Write;
 use std::ops::Range;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Date32Type, Float32Type, Float64Type, Int64Type, UInt64Type};
-use arrow_array::{Array, ArrayRef, BooleanArray, Float32Array, Float64Array, Int64Array, UInt64Array};
-use arrow_cast::cast;
+use arrow_array::types::{Date32Type, Float64Type};
+use arrow_array::{Array, BooleanArray, Float32Array, Float64Array, Int64Array, UInt64Array};
 use arrow_schema::ArrowError;
 use arrow_schema::{DataType, TimeUnit};
 
+use super::convert::{decimal_texts, to_f32, to_f64, to_i64, to_u64, unpacked};
 use super::strings::{StringColumn, is_text};
 use crate::fill::change;
 use crate::moment::{Moment, date_text};
@@ -71,8 +71,7 @@ impl NumberArray {
         if *array.data_type() == DataType::Null {
             return Ok(NumberArray::Values(vec![f64::NAN; array.len()]));
         }
-        let array = cast(array, &DataType::Float64)?;
-        let values = array.as_primitive::<Float64Type>();
+        let values = to_f64(array)?;
         Ok(NumberArray::Values(match values.null_count() {
             0 => values.values().to_vec(),
             _ => values.iter().map(|value| value.unwrap_or(f64::NAN)).collect(),
@@ -96,26 +95,21 @@ impl TextArray {
         if let Some(strings) = StringColumn::new(array) {
             return Ok(TextArray::Strings(strings));
         }
-        let converted = |to: DataType| cast(array, &to);
         Ok(match array.data_type() {
-            DataType::Dictionary(_, values) => return TextArray::new(&converted((**values).clone())?),
+            DataType::Dictionary(..) => return TextArray::new(&unpacked(array)?),
             DataType::Null => TextArray::Nothing,
             DataType::Boolean => TextArray::Boolean(array.as_boolean().clone()),
-            DataType::Float16 | DataType::Float32 => {
-                TextArray::Single(converted(DataType::Float32)?.as_primitive::<Float32Type>().clone())
-            }
+            DataType::Float16 | DataType::Float32 => TextArray::Single(to_f32(array)?),
             DataType::Float64 => TextArray::Double(array.as_primitive::<Float64Type>().clone()),
             DataType::Date32 => {
                 TextArray::Dates(array.as_primitive::<Date32Type>().iter().map(|day| day.map(i64::from)).collect())
             }
             DataType::UInt8 | DataType::UInt16 | DataType::UInt32 | DataType::UInt64 => {
-                TextArray::Unsigned(converted(DataType::UInt64)?.as_primitive::<UInt64Type>().clone())
+                TextArray::Unsigned(to_u64(array)?)
             }
-            other if other.is_integer() => {
-                TextArray::Signed(converted(DataType::Int64)?.as_primitive::<Int64Type>().clone())
-            }
+            other if other.is_integer() => TextArray::Signed(to_i64(array)?),
             other if is_temporal(other) => TextArray::Moments(moments(array)?.unwrap_or_default()),
-            _ => TextArray::Decimal(StringColumn::Utf8(converted(DataType::Utf8)?.as_string::<i32>().clone())),
+            _ => TextArray::Decimal(StringColumn::Utf8(decimal_texts(array)?)),
         })
     }
 
@@ -162,16 +156,12 @@ fn moments(array: &dyn Array) -> Result<Option<Vec<Option<Moment>>>, ArrowError>
         DataType::Date64 => (1_000_000, false),
         _ => return Ok(None),
     };
-    let integers: ArrayRef = if *array.data_type() == DataType::Date32 {
-        cast(&cast(array, &DataType::Int32)?, &DataType::Int64)?
-    } else {
-        cast(array, &DataType::Int64)?
-    };
+    let integers = to_i64(array)?;
     let moment = |value: i64| {
         let nanoseconds = i128::from(value) * scale;
         if zoned { Moment::Instant(nanoseconds) } else { Moment::Civil(nanoseconds) }
     };
-    Ok(Some(integers.as_primitive::<Int64Type>().iter().map(|value| value.map(moment)).collect()))
+    Ok(Some(integers.iter().map(|value| value.map(moment)).collect()))
 }
 
 fn nanoseconds(unit: TimeUnit) -> i128 {

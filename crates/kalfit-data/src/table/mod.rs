@@ -3,6 +3,7 @@
 pub(crate) mod ahead;
 pub(crate) mod arrays;
 mod batches;
+mod convert;
 mod csv;
 pub(crate) mod guard;
 mod ipc;
