@@ -1,5 +1,5 @@
-//! Matrix operations of the recursions over phases, whatever the storage: one source for rows of any size
-//! ([`crate::linalg::rows`]) and for sizes that the compiler knows ([`crate::linalg::fixed`]).
+//! Matrix operations of the recursions over phases, written once for two kinds of storage: rows of any size
+//! ([`crate::linalg::rows`]) and arrays of a size that the compiler knows ([`crate::linalg::fixed`]).
 
 use std::ops::Range;
 
@@ -9,41 +9,43 @@ use nalgebra::DMatrix;
 use crate::factors::Factors;
 use crate::rows::Rows;
 
-/// Operations on q × q matrices and on data of q rows. Rows and columns that are stored beyond those of a matrix hold
-/// zeros.
+/// Operations on q × q matrices and on data of q rows. The storage may hold more than q rows and columns; rows and
+/// columns beyond q are zero.
 pub trait Algebra {
     /// Type of the elements.
     type Number: Real;
-    /// q × q, or any number of rows × q.
+    /// Type of a matrix, q × q, or m × q with any m.
     type Matrix: Clone;
-    /// Data, q × columns.
+    /// Type of the data, q × columns.
     type Data: Clone;
-    /// U, upper triangular.
+    /// Type of a factor U, q × q, upper triangular.
     type Factor;
 
-    /// A matrix of zeros.
+    /// A matrix of zeros, rows × columns.
     fn zeros(rows: usize, columns: usize) -> Self::Matrix;
-    /// Row `i`, for writing.
+    /// Row `i` of `a`, for writing.
     fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number];
-    /// Data of zeros.
+    /// Data of zeros, rows × columns.
     fn zero_data(rows: usize, columns: usize) -> Self::Data;
     /// Row `i` of the data, for writing.
     fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number];
 
-    /// U with U'U = I + Σ A'A. `keeps_digits` becomes false where cross products would lose digits.
+    /// U with U'U = I + Σ A'A over the matrices A of `parts`. `keeps_digits` becomes false where cross products would
+    /// lose digits.
     fn identity_plus(parts: &[&Self::Matrix], keeps_digits: &mut bool) -> Self::Factor;
-    /// Diagonal of U, whose product is |U|.
+    /// Diagonal elements u_ii of U, |U| = Π u_ii.
     fn diagonal(factor: &Self::Factor) -> impl Iterator<Item = Self::Number>;
     /// U⁻ᵀA.
     fn solved(factor: &Self::Factor, a: Self::Matrix) -> Self::Matrix;
     /// U⁻ᵀd.
     fn solved_data(factor: &Self::Factor, data: Self::Data) -> Self::Data;
-    /// Folds [A | b] into [R | d], R upper triangular with a nonnegative diagonal; returns the residual of b.
+    /// Folds [A | b] (`rows`, `rows_data`) into [R | d] (`upper`, `data`), R upper triangular with a nonnegative
+    /// diagonal; returns the residual of b.
     fn absorb(upper: &mut Self::Matrix, data: &mut Self::Data, rows: Self::Matrix, rows_data: Self::Data)
     -> Self::Data;
     /// U with U'U = I + A'A, and U⁻ᵀA'd, by folding [A | d] into [I | 0]: no digits are lost, however large A is.
     fn identity_absorbing(rows: Self::Matrix, rows_data: Self::Data) -> (Self::Factor, Self::Data);
-    /// Folds rows into R, without data.
+    /// Folds A (`rows`) into R (`upper`), upper triangular: R'R grows by A'A.
     fn absorb_rows(upper: &mut Self::Matrix, rows: Self::Matrix);
 
     /// A'.
@@ -66,21 +68,22 @@ pub trait Algebra {
     fn plus(a: Self::Data, b: &Self::Data) -> Self::Data;
     /// a - b.
     fn less(a: Self::Data, b: &Self::Data) -> Self::Data;
-    /// Sum of squares of data whose first column is the mean over `count` tests: its squares count `count` times.
+    /// Σ w_k d_ik² over the data: w_0 = `count`, since the first column is a mean over `count` tests, and w_k = 1 for k
+    /// > 0.
     fn squares(count: Self::Number, data: &Self::Data) -> Self::Number;
 
-    /// F' of a phase, q × q: the part of `root` for the states `phase_states`. F is lower triangular with a nonnegative
-    /// diagonal.
+    /// F' of a phase, q × q, with F the rows and columns `phase_states` of `root`, lower triangular with a nonnegative
+    /// diagonal. The result has as many columns as `like`.
     fn phase_root(root: &DMatrix<f64>, phase_states: &Range<usize>, like: &Self::Matrix) -> Self::Matrix;
-    /// Data with the elements of `mean` for the states `phase_states` of a phase in the first column.
+    /// Data of the shape of `like`, zero but for the elements `phase_states` of `mean` in the first column.
     fn mean_of(mean: &[Self::Number], phase_states: &Range<usize>, like: &Self::Data) -> Self::Data;
-    /// The first rows and columns of a matrix.
+    /// The first `rows` rows and `columns` columns of `a`.
     fn leading_block(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number>;
-    /// The first rows of the data.
+    /// The first `rows` rows of the data.
     fn head(data: &Self::Data, rows: usize) -> Rows<Self::Number>;
 }
 
-/// Largest element of RΣR' for which cross products are used; beyond it they would lose digits.
+/// Largest element of A'A for which cross products are used; larger elements would cost digits of I + A'A.
 pub(crate) const MAX_CROSS_PRODUCT: f64 = 1e10;
 
 impl<F: Factors> Algebra for F {
@@ -264,7 +267,7 @@ mod tests {
     use super::*;
     use crate::factors::{CrossFactors, Rotations};
 
-    /// Beyond elements of 10⁵, cross products lose the identity that is added to them; rotations do not.
+    /// Beyond elements of 10⁵, cross products lose digits of I in I + A'A; rotations lose no digits.
     #[test]
     fn what_is_too_large_for_cross_products_is_said() {
         for (size, sound) in [(0.99e5, true), (1.01e5, false), (1e9, false)] {

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 /// ξ ~ N(μ, FF') given Cξ: mean μ + K(g - Cμ) and root F̃ with F̃F̃' = (I - KC)FF', K = FF'C'(CFF'C')⁻¹. Nothing is
-/// subtracted from Σ: with (CF)' = Q[T; 0], F̃ is F times the remaining columns of Q.
+/// subtracted from Σ: with (CF)' = Q[T; 0], F̃ is F times the columns of Q after the first q.
 #[derive(Debug, Clone)]
 pub struct Conditional {
     coefficients: DMatrix<f64>,
@@ -16,7 +16,7 @@ pub struct Conditional {
 }
 
 impl Conditional {
-    /// C is q × p, F p × n. `None` where CFF'C' is singular: Cξ cannot be any vector.
+    /// The law given Cξ, with `coefficients` C, q × p, and `root` F, p × n; `None` where CFF'C' is singular.
     pub fn new(coefficients: DMatrix<f64>, root: &DMatrix<f64>) -> Option<Conditional> {
         let (q, n) = (coefficients.nrows(), root.ncols());
         if n < q {

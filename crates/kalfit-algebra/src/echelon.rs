@@ -5,9 +5,9 @@ use nalgebra::DMatrix;
 /// A pivot below this fraction of the largest entry of the basis counts as zero.
 const RANK_TOLERANCE: f64 = 1e-11;
 
-/// A basis of the space of the columns (n × columns) whose rows at the pivots are those of the identity (n × rank), and
-/// the pivots, column by column. Each pivot is the largest remaining entry; where none above the tolerance remains, the
-/// rank is reached.
+/// The pivots (pivot row of each column), and a basis (n × rank) of the space spanned by the columns of `basis` (n ×
+/// columns); the pivot rows of the result form the identity. Each pivot is the largest remaining entry; the rank is
+/// reached where no remaining entry is above the tolerance.
 pub fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     let mut pivots: Vec<usize> = Vec::new();
     let floor = RANK_TOLERANCE * basis.amax();

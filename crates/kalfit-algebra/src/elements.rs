@@ -1,4 +1,5 @@
-//! Elements of a mean and of a block-diagonal symmetric matrix, such as μ and Σ of several phases, and their numbering.
+//! Elements of a mean and of a block-diagonal symmetric matrix, such as μ and Σ of several phases, and the index of
+//! each element.
 
 use std::ops::Range;
 
@@ -7,27 +8,29 @@ use nalgebra::{DMatrix, DVector};
 use crate::folded::Folded;
 use crate::symmetric::{pair, pairs};
 
-/// An element of μ or Σ, by its index among those of all phases.
+/// An element of μ or Σ, by indices among the states of all phases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Element {
-    /// Element of μ.
+    /// Element of μ, by the index of the state.
     Mean(usize),
-    /// Element of Σ; both states are of the same phase.
+    /// Element of Σ, by the indices of two states of one phase.
     Covariance(usize, usize),
 }
 
-/// The elements (i ≥ j) of a symmetric matrix that is zero between its blocks, one block for each phase: those of the first block
-/// in the order (0,0), (1,0), (1,1), (2,0), …, then those of the second. With p_f states in block f there are Σ p_f(p_f+1)/2.
+/// The elements (i, j), i ≥ j, of a block-diagonal symmetric matrix with one block for each phase: the elements of the
+/// first block in the order (0,0), (1,0), (1,1), (2,0), …, then the elements of the second block, and so on. Blocks f
+/// of p_f states have Σ p_f(p_f+1)/2 elements.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Elements {
     ranges: Vec<Range<usize>>,
     block: Vec<usize>,
-    /// Number of the first element of each block, followed by the count of all elements.
+    /// Index of the first element of each block, then the number of all elements.
     first: Vec<usize>,
 }
 
 impl Elements {
-    /// Elements of blocks with these ranges of states, which follow each other from 0 on.
+    /// The elements of blocks with the given ranges of states; the first range begins at 0, each other range where the
+    /// range before ends.
     pub fn new(ranges: Vec<Range<usize>>) -> Elements {
         let (mut first, mut block) = (vec![0], Vec::new());
         for (f, range) in ranges.iter().enumerate() {
@@ -38,7 +41,7 @@ impl Elements {
         Elements { ranges, block, first }
     }
 
-    /// Elements of a matrix that is one block of p states.
+    /// The elements of a matrix of one block with p states.
     pub fn single(p: usize) -> Elements {
         Elements::new(std::iter::once(0..p).collect())
     }
@@ -53,7 +56,7 @@ impl Elements {
         self.block.len()
     }
 
-    /// The states of each block.
+    /// Range of the states of each block.
     pub fn blocks(&self) -> &[Range<usize>] {
         &self.ranges
     }
@@ -63,24 +66,24 @@ impl Elements {
         self.ranges.len() == 1
     }
 
-    /// The block of a state.
+    /// Index of the block of state i.
     pub fn block_of(&self, i: usize) -> usize {
         self.block[i]
     }
 
-    /// The number of element {i, j}; `None` between blocks.
+    /// Index of element {i, j}; `None` if states i and j are of different blocks.
     pub fn get(&self, i: usize, j: usize) -> Option<usize> {
         let f = self.block[i];
         let start = self.ranges[f].start;
         (self.block[j] == f).then(|| self.first[f] + pair(i - start, j - start))
     }
 
-    /// The number of element {i, j} of one block.
+    /// Index of element {i, j}, for states i and j of one block.
     pub fn index(&self, i: usize, j: usize) -> usize {
         self.get(i, j).expect("both states are of one block")
     }
 
-    /// The elements (i, j), i ≥ j, in their order.
+    /// The elements (i, j), i ≥ j, by ascending index.
     pub fn all(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let of = |range: &Range<usize>| {
             let start = range.start;
@@ -89,25 +92,26 @@ impl Elements {
         self.ranges.iter().flat_map(of)
     }
 
-    /// Element (i, j), by its number.
+    /// The element (i, j) of index `number`; `None` if there are fewer elements.
     pub fn at(&self, number: usize) -> Option<(usize, usize)> {
         self.all().nth(number)
     }
 
-    /// The symmetric matrix with these elements.
+    /// The symmetric matrix, states × states, with the elements `packed`.
     pub fn unpack(&self, packed: &DVector<f64>) -> DMatrix<f64> {
         let p = self.states();
         DMatrix::from_fn(p, p, |i, j| self.get(i, j).map_or(0.0, |k| packed[k]))
     }
 
-    /// ∂/∂(element) of a function whose matrix score is G: elements off the diagonal count twice.
+    /// Derivative with respect to each element of a function whose derivative with respect to the matrix is G
+    /// (`score`): g_ii on the diagonal, 2 g_ij elsewhere.
     pub fn pack_score(&self, score: &DMatrix<f64>) -> DVector<f64> {
         let one = |(i, j): (usize, usize)| if i == j { score[(i, i)] } else { 2.0 * score[(i, j)] };
         DVector::from_iterator(self.count(), self.all().map(one))
     }
 
-    /// Matrix over elements whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the positions of the two elements:
-    /// one for a diagonal element, two for any other.
+    /// Matrix, elements × elements, whose entry (σ_kl, σ_ab) is the sum of `term(k, l, a, b)` over the positions of
+    /// both elements: one position for a diagonal element, two positions for any other element.
     pub fn over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
         let mut result = DMatrix::zeros(self.count(), self.count());
         self.over_half(term, |row, column, value| {

@@ -1,7 +1,8 @@
 //! Motion of dx/dt = F x + u + white noise over a step, by scaling and doubling.
 //!
 //! φ = exp(Fδ), Γ = ∫₀^δ exp(Fs) ds, Q = ∫₀^δ exp(Fs) Q_c exp(F's) ds. A small step is summed by Taylor, then doubled:
-//! Q ← Q + φQφ', Γ ← Γ + φΓ, φ ← φ². No exp(+δ/τ) is ever formed, so steps far longer than the time constants are exact.
+//! Q ← Q + φQφ', Γ ← Γ + φΓ, φ ← φ². No exp(+δ/τ) is ever formed, so that steps far longer than the time constants are
+//! exact.
 
 mod backward;
 mod lanes;
@@ -31,7 +32,7 @@ pub enum FlowError {
     Unstable,
 }
 
-/// The motion over `step` ≥ 0. Shapes: `f`, `q` m × m, row-major; `q` symmetric, per unit time.
+/// φ, Γ, Q over `step` ≥ 0. Shapes: `f`, `q` m × m, row-major; `q` symmetric, per unit time.
 pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {
     let flow = if m == 1 {
         let [phi, gamma, q] = scalar_flow(f[0], q[0], step);
@@ -46,7 +47,7 @@ pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError
     }
 }
 
-/// φ, Γ, Q of a single state: exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f). They are not finite where they overflow.
+/// φ, Γ, Q of a single state: exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f). Results that overflow are not finite.
 pub fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
     [(f * step).exp(), integral(f), if q == 0.0 { 0.0 } else { q * integral(2.0 * f) }]
@@ -68,7 +69,7 @@ fn scaling(f: &[f64], m: usize, step: f64) -> Result<(i32, f64), FlowError> {
         return Err(FlowError::NotFinite);
     }
     let doublings = if reach > 0.5 { (2.0 * reach).log2().ceil() as i32 } else { 0 };
-    // At most about 1026 doublings, since `reach` is finite; two factors, since 2^1026 alone is not finite.
+    // At most about 1026 doublings, since `reach` is finite; the power has two factors, since 2^1026 is not finite.
     Ok((doublings, step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2)))
 }
 
@@ -93,7 +94,7 @@ pub fn stationary_discrete(phi: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>,
     double_until_stationary(Doubling { m, excess: None, phi: phi.to_vec(), gamma: vec![0.0; m * m], q: q.to_vec() })
 }
 
-/// Doubles until φ has decayed to nothing; 2^120 small steps outlast any rate that a double distinguishes from zero.
+/// Q after doublings until ‖φ‖ < 1e-30; 2^120 small steps outlast any rate that an `f64` distinguishes from zero.
 fn double_until_stationary(mut doubling: Doubling) -> Result<Vec<f64>, FlowError> {
     for _ in 0..120 {
         let left = norm(&doubling.phi, doubling.m);
@@ -114,7 +115,7 @@ fn finite(p: Vec<f64>) -> Result<Vec<f64>, FlowError> {
 
 struct Doubling {
     m: usize,
-    /// φ - I, kept while φ is near I: squaring φ itself would double its relative error each time.
+    /// φ - I, as long as φ is near I: squaring φ directly would double the relative error of φ each time.
     excess: Option<Vec<f64>>,
     phi: Vec<f64>,
     gamma: Vec<f64>,
@@ -122,18 +123,18 @@ struct Doubling {
 }
 
 impl Doubling {
-    /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave an error of 1e-21 of the norm, and m more reach the
-    /// far corner of a chain.
+    /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave an error of 1e-21 of the norm, and m more terms reach
+    /// the far corner of the φ of a chain of m states.
     fn start(f: &[f64], q: &[f64], m: usize, step: f64) -> Doubling {
         Doubling::start_observed(f, q, m, step, |_, _| {})
     }
 
-    /// As [`Doubling::start`]; calls `on_order` with both terms before each order.
+    /// [`Doubling::start`], which also passes the last terms of φ and of Q to `on_order` before each order.
     fn start_observed(f: &[f64], q: &[f64], m: usize, step: f64, mut on_order: impl FnMut(&[f64], &[f64])) -> Doubling {
         let transpose: Vec<f64> = (0..m * m).map(|ij| f[(ij % m) * m + ij / m]).collect();
         let fs: Vec<f64> = f.iter().map(|x| x * step).collect();
         let ts: Vec<f64> = transpose.iter().map(|x| x * step).collect();
-        let mut power = identity(m); // (Fh)^k / k!
+        let mut power = identity(m); // (Fh)^k / k!, h = step
         let mut noise: Vec<f64> = q.iter().map(|x| x * step).collect(); // h^{k+1} L_k / (k+1)!, L_{k+1} = F L_k + L_k F'
         let (mut excess, mut total) = (vec![0.0; m * m], noise.clone());
         let mut gamma: Vec<f64> = identity(m).iter().map(|x| x * step).collect();
@@ -217,7 +218,7 @@ fn accumulate(sum: &mut [f64], a: &[f64], factor: f64) {
     sum.iter_mut().zip(a).for_each(|(x, y)| *x += factor * y);
 }
 
-/// Largest row sum of magnitudes.
+/// Largest Σ_k |a_ik| over the rows i; ∞ if an element is NaN.
 fn norm(a: &[f64], m: usize) -> f64 {
     a.chunks_exact(m)
         .map(|row| row.iter().map(|x| x.abs()).sum::<f64>())
@@ -237,7 +238,7 @@ mod tests {
 
     #[test]
     fn second_order_gauss_markov_has_its_closed_form() {
-        // Rate w, critically damped: φ = e^{-wδ} [1 + wδ, δ; -w²δ, 1 - wδ]; it settles in variance q/(4w³).
+        // Rate w, critically damped: φ = e^{-wδ} [1 + wδ, δ; -w²δ, 1 - wδ]; the stationary variance is q/(4w³).
         let (w, q) = (0.7f64, 0.3);
         for step in [1e-6, 0.1, 1.0, 30.0, 800.0] {
             let flow = flow(&[0.0, 1.0, -w * w, -2.0 * w], &[0.0, 0.0, 0.0, q], 2, step).expect("finite");

@@ -1,4 +1,4 @@
-//! Triangular factors of sums of rows.
+//! Triangular factors of sums of products rows'rows.
 
 use std::marker::PhantomData;
 
@@ -12,18 +12,18 @@ use crate::rows::Rows;
 pub trait Factors {
     /// Type of the elements.
     type Number: Real;
-    /// Whether rows of any magnitude are allowed without loss of digits.
+    /// Whether rows of any magnitude cost no digits.
     const ALLOWS_LARGE_ROWS: bool;
 
-    /// U, upper triangular w × w, with U'U = I + rows'rows; rows any number × w. No diagonal element is below one.
+    /// U, upper triangular w × w, with U'U = I + rows'rows; `rows` m × w. No diagonal element is below one.
     fn identity_plus(rows: &Rows<Self::Number>) -> Rows<Self::Number>;
 
-    /// Folds rows into [R | d], R upper triangular (first `width` columns) with a nonnegative diagonal. Returns the
-    /// rows, which now hold the residuals in the other columns; R has no part of these.
+    /// Folds rows into [R | d], R upper triangular (first `width` columns) with a nonnegative diagonal. Returns `rows`,
+    /// which hold the residuals of the data in the columns from `width` on.
     fn absorb(upper: &mut Rows<Self::Number>, rows: Rows<Self::Number>, width: usize) -> Rows<Self::Number>;
 }
 
-/// Factors from cross products and reflections, which is fast.
+/// Factors from cross products and reflections: fast, but rows of large magnitude cost digits.
 #[derive(Debug)]
 pub struct CrossFactors<T>(PhantomData<T>);
 
@@ -59,7 +59,7 @@ impl<T: Lanes> Factors for Rotations<T> {
         let mut upper = Rows::identity(w);
         Rotations::absorb(&mut upper, rows.clone(), w);
         for i in 0..w {
-            upper[(i, i)] = upper[(i, i)].maximum(T::splat(1.0)); // rounding must not make it less
+            upper[(i, i)] = upper[(i, i)].maximum(T::splat(1.0)); // rounding must not make the diagonal less than one
         }
         upper
     }

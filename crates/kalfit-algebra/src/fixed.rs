@@ -20,7 +20,7 @@ pub struct Fixed<T, const N: usize>(PhantomData<T>);
 /// U = D^½L' with LDL' = I + Σ A'A.
 #[derive(Debug, Clone, Copy)]
 pub struct Pivoted<T, const N: usize> {
-    /// L', unit upper triangular; entries on and below its diagonal are not used.
+    /// L', unit upper triangular; entries on and below the diagonal are not used.
     unit: Square<T, N>,
     /// D^½.
     root: [T; N],
@@ -29,7 +29,7 @@ pub struct Pivoted<T, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Pivoted<T, N> {
-    /// The factor given by U, upper triangular.
+    /// The factor of a given U, N × N, upper triangular.
     #[inline(always)]
     fn of(upper: Square<T, N>) -> Pivoted<T, N> {
         let mut factor = Pivoted { unit: upper, root: [T::splat(0.0); N], inverse: [T::splat(0.0); N] };
@@ -243,8 +243,8 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     }
 }
 
-/// Work on row or column K of matrices, with K known to the compiler, which then also knows the lengths before and
-/// after it.
+/// Work on row or column K of matrices, with K known to the compiler, which then also knows the numbers of rows and
+/// columns before K and after K.
 trait UnrolledWork {
     fn at<const K: usize>(&mut self);
 }
@@ -252,7 +252,7 @@ trait UnrolledWork {
 /// Largest size N of matrices in this module.
 const MAX_SIZE: usize = 8;
 
-/// Does the work for all K < N in order, without a loop.
+/// Does the work for K = 0, 1, …, N - 1, without a loop.
 #[inline(always)]
 fn unrolled<const N: usize>(work: &mut impl UnrolledWork) {
     const { assert!(N <= MAX_SIZE, "sizes have a rank each below") };
@@ -337,7 +337,7 @@ impl<T: Real, const N: usize> UnrolledWork for PivotedRows<'_, T, N> {
                 row[j] = self.factor.unit[i][K].fnma(self.scaled[i][j], row[j]);
             }
         }
-        let pivot = row[K].maximum(one); // rounding must not make it less than one
+        let pivot = row[K].maximum(one); // rounding must not make the pivot less than one
         let over = pivot.recip();
         self.factor.root[K] = pivot;
         for j in K + 1..N {
@@ -435,7 +435,7 @@ impl<T: Real, const N: usize> UnrolledWork for Absorb<'_, T, N> {
     }
 }
 
-/// AB, each factor transposed or not.
+/// AB, with A' for A if `TRANSPOSE_A`, and with B' for B if `TRANSPOSE_B`.
 struct Product<'a, T, const N: usize, const TRANSPOSE_A: bool, const TRANSPOSE_B: bool>(
     &'a Square<T, N>,
     &'a Square<T, N>,
@@ -477,7 +477,7 @@ impl<T: Real, const N: usize> Part for TimesUpperTranspose<'_, T, N> {
     }
 }
 
-/// AU', column by column.
+/// AU', U upper triangular, column by column.
 struct UpperColumns<'a, T, const N: usize> {
     a: &'a Square<T, N>,
     upper: &'a Square<T, N>,

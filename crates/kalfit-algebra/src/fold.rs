@@ -2,7 +2,7 @@
 
 use kalfit_lanes::{Lanes, MOST, Part};
 
-/// Range in which sums of squares neither overflow nor lose digits.
+/// Range of a sum of squares that has neither overflowed nor lost digits.
 const SAFE_SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
 
 /// A plane rotation (c, s) and the resulting length: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
@@ -37,19 +37,19 @@ impl<T: Lanes> Rotation<T> {
     }
 }
 
-/// What to do to two rows of tests in lanes.
+/// The rotation of two rows of tests in lanes.
 #[derive(Debug, Clone, Copy)]
 enum LaneRotation<T> {
-    /// Nothing: no lane has an element to eliminate.
+    /// No rotation: the element to eliminate is zero in every lane.
     None,
     /// A rotation in every lane.
     All(Rotation<T>),
-    /// A rotation in lanes where s is not zero, nothing in the others.
+    /// A rotation in lanes with s ≠ 0, no rotation in lanes with s = 0.
     Some(Rotation<T>),
 }
 
 impl<T: Lanes> LaneRotation<T> {
-    /// The turn that takes (a, b) to (length, 0) in each lane, with the same bits as [`Rotation::of`] lane by lane.
+    /// The rotation that takes (a, b) to (length, 0) in each lane; each lane has the bits of [`Rotation::of`].
     #[inline(always)]
     fn of(a: T, b: T) -> LaneRotation<T> {
         let square = a * a + b * b;
@@ -67,7 +67,7 @@ impl<T: Lanes> LaneRotation<T> {
     }
 }
 
-/// Smallest positive number.
+/// Smallest positive `f64`, a subnormal number.
 const SMALLEST_POSITIVE: f64 = f64::from_bits(1);
 
 /// [`Rotation::of`] lane by lane.
@@ -94,8 +94,8 @@ pub fn norm(numbers: &[f64]) -> f64 {
 }
 
 /// Folds rows into R: afterwards R'R has grown by rows'rows. With a last column of data, [T | e] into [R_J | d], the
-/// last diagonal element of R is the residual norm (Bierman 1977, ch. V). It works row by row, so that rows of very
-/// different size cost no digits.
+/// last diagonal element of R is the residual norm (Bierman 1977, ch. V). The rows are folded one by one, so that rows
+/// of very different size cost no digits.
 ///
 /// Shapes: `info` width × width, row-major, upper triangular with a nonnegative diagonal; `rows` m × width, row-major,
 /// overwritten.
@@ -106,10 +106,10 @@ pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
 /// Number of rows that are folded at a time.
 const ROWS_AT_A_TIME: usize = 8;
 
-/// Folds rows, with the same bits as one row after the other. Each row is only one rotation ahead of the next, so that
-/// the processor works on several rotations at once. Rows of `info` and `rows` have `width` elements, the first
-/// `pivots` of which belong to the triangle; data beyond them are rotated too, and their residuals remain in `rows`. In
-/// lanes, each test has the bits that it has alone.
+/// Folds `rows` into R of `info`; the result has the bits of folding one row after the other. Each row is only one
+/// rotation ahead of the next row, so that the processor works on several rotations at once. Rows of `info` and `rows`
+/// have `width` elements: the first `pivots` elements belong to the triangle; the other elements are data, which are
+/// rotated too, and the residuals of the data remain in `rows`. A test in a lane has the bits of a test without lanes.
 #[inline(always)]
 pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usize, usize)) {
     if pivots == 0 {
@@ -119,7 +119,7 @@ pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usi
         let count = rows.len() / width;
         let mut rotations = [LaneRotation::None; ROWS_AT_A_TIME];
         for ahead in 0..pivots + count - 1 {
-            // row i meets row k = ahead - i of `info`
+            // row i is rotated with row k = ahead - i of `info`
             let active_rows = (ahead + 1).saturating_sub(pivots)..count.min(ahead + 1);
             for i in active_rows.clone() {
                 let k = ahead - i;
@@ -133,7 +133,7 @@ pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usi
     }
 }
 
-/// Rotates element k of `row` into that of `pivot`.
+/// Rotates the rows `pivot` and `row` so that element k of `row` becomes zero.
 #[inline(always)]
 fn rotate_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: LaneRotation<T>) {
     match turn {
@@ -150,7 +150,7 @@ fn rotate_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: LaneRota
     }
 }
 
-/// The rotation of two rows that leaves lanes without a turn unchanged, even the sign of their zeros.
+/// The rotation of two rows in lanes with s ≠ 0; lanes with s = 0 keep all bits, even the signs of zeros.
 struct RotateSomeLanes<'a, T> {
     pivot: &'a mut [T],
     row: &'a mut [T],
@@ -176,7 +176,7 @@ impl<T: Lanes> Part for RotateSomeLanes<'_, T> {
     }
 }
 
-/// Folds one row, calling `note(k, rotation)` for each rotation with row k of `info`.
+/// Folds `row` into R of `info`, and calls `note(k, rotation)` for the rotation with row k of `info`.
 #[inline(always)]
 pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, Rotation)) {
     let width = row.len();

@@ -4,17 +4,17 @@ use nalgebra::DMatrix;
 
 use crate::symmetric::{pair, pairs};
 
-/// A matrix, stored by its upper half where it is symmetric.
+/// A matrix; of a symmetric matrix, only the upper half is stored.
 #[derive(Debug, Clone)]
 pub enum Folded {
-    /// Number of rows, and elements (i, k), i ≤ k, at pair(k, i).
+    /// Number of rows of a symmetric matrix, and the elements (i, k), i ≤ k, at index pair(k, i).
     Symmetric(usize, Vec<f64>),
     /// All elements of a matrix that is not symmetric to the last bit.
     Whole(DMatrix<f64>),
 }
 
 impl Folded {
-    /// Stores half of a matrix, if that determines all of it to the last bit.
+    /// Stores the upper half of a matrix that is symmetric to the last bit, else the whole matrix.
     pub fn of(matrix: DMatrix<f64>) -> Folded {
         let size = matrix.nrows();
         let is_mirrored = |k: usize| (k + 1..size).all(|i| matrix[(i, k)].to_bits() == matrix[(k, i)].to_bits());
@@ -26,7 +26,7 @@ impl Folded {
         Folded::Symmetric(size, half)
     }
 
-    /// The matrix as it was.
+    /// The matrix with all elements.
     pub fn unfolded(&self) -> DMatrix<f64> {
         let (size, half) = match self {
             Folded::Symmetric(size, half) => (*size, half),

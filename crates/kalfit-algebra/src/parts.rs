@@ -16,7 +16,7 @@ pub trait ColumnWork {
     fn part<const N: usize>(&mut self, from: usize);
 }
 
-/// Does the work for all columns from `first` on, in parts of nearly equal size.
+/// Does the work for all columns from `first` on, in blocks of nearly equal width.
 #[inline(always)]
 pub fn by_column_blocks(first: usize, columns: &mut impl ColumnWork) {
     let (mut from, end) = (first, columns.count());
@@ -38,7 +38,7 @@ pub fn by_column_blocks(first: usize, columns: &mut impl ColumnWork) {
 /// y ← y + Σ_k a_k x_k, or y ← y - Σ_k a_k x_k, over rows x_k as wide as y.
 pub(crate) struct Sum<'a, T, const MINUS: bool> {
     pub(crate) y: &'a mut [T],
-    /// The numbers a_k in a slice, from a_0 on, and the distance from each to the next.
+    /// (slice, step): a_k is element k × step of the slice.
     pub(crate) a: (&'a [T], usize),
     /// The rows x_k, one after the other.
     pub(crate) x: &'a [T],
@@ -67,7 +67,7 @@ impl<T: Real, const MINUS: bool> ColumnWork for Sum<'_, T, MINUS> {
     }
 }
 
-/// y_c ← x'(row c).
+/// y_c ← Σ_k x_k r_ck, with r_ck the elements of `rows`.
 pub(crate) struct Dots<'a, T> {
     pub(crate) y: &'a mut [T],
     pub(crate) x: &'a [T],
@@ -93,12 +93,13 @@ impl<T: Real> ColumnWork for Dots<'_, T> {
     }
 }
 
-/// Householder reflection that takes `column` of the rows into row `upper` of a triangle, applied to the other columns.
+/// Householder reflection I - `scale` v v' that makes column `column` of `rows` zero and folds this column into the row
+/// `upper` of a triangle, applied to the other columns. The sign of the row `upper` is flipped afterwards.
 pub(crate) struct Reflection<'a, T> {
     pub(crate) upper: &'a mut [T],
     pub(crate) rows: &'a mut Rows<T>,
     pub(crate) column: usize,
-    /// First component of the reflection's vector v; the others are those of the column.
+    /// First component of v; the other components are the elements of column `column` of `rows`.
     pub(crate) first: T,
     /// 2 / v'v.
     pub(crate) scale: T,

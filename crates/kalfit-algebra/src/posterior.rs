@@ -12,7 +12,7 @@ pub fn posterior_root(factor: &DMatrix<f64>, root: &DMatrix<f64>) -> DMatrix<f64
     let mut upper = stacked.qr().r();
     for k in 0..n {
         // no diagonal element is below the least singular value of [I; RF], which is at least one; rounding must not
-        // break that
+        // make a diagonal element less than one
         upper[(k, k)] = upper[(k, k)].abs().max(1.0).copysign(upper[(k, k)]);
     }
     let half = upper.transpose().solve_lower_triangular(&root.transpose()).expect("its diagonal is at least one");

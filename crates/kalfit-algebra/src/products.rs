@@ -19,8 +19,8 @@ impl<T: Real> Rows<T> {
         self.combined(other, (self.columns, 1, self.columns))
     }
 
-    /// Σ_k a_ik × row k of `other` for each of `rows` i; `row_stride` and `term_stride` are the distances from an a to that of the
-    /// next i and of the next k.
+    /// Matrix of `rows` rows with row i = Σ_k a_ik × row k of `other`; a_ik is element i × `row_stride` + k ×
+    /// `term_stride` of `self.data`.
     #[inline(always)]
     fn combined(&self, other: &Rows<T>, (rows, row_stride, term_stride): (usize, usize, usize)) -> Rows<T> {
         let mut product = Rows::zeros(rows, other.columns);
@@ -46,8 +46,7 @@ impl<T: Real> Rows<T> {
     }
 }
 
-/// Σ_k a_ik × row k of `other` for each row i of the product; `row_stride` and `term_stride` are the distances from an a to that of
-/// the next i and of the next k.
+/// Row i of `product` ← Σ_k a_ik × row k of `other`; a_ik is element i × `row_stride` + k × `term_stride` of `a`.
 struct Combine<'a, T> {
     a: &'a [T],
     row_stride: usize,
@@ -129,7 +128,7 @@ impl<T: Real> Part for IdentityPlus<'_, T> {
             if i > 0 {
                 by_column_blocks(i, &mut Sum::<T, true> { y: own, a: (&done[i..], w), x: done, count: i });
             }
-            let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make it less than one
+            let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make the pivot less than one
             let inverse = T::splat(1.0) / pivot;
             own[i] = pivot;
             for x in &mut own[i + 1..] {

@@ -24,11 +24,11 @@ pub struct Regular {
 }
 
 impl Regular {
-    /// `None` where an eigenvalue of A may be below [`MIN_EIGENVALUE`]. For a matrix of one block that is certain: the least
-    /// eigenvalue is at least the inverse of Σ 1/λ = ‖R⁻¹‖². For a larger one the least eigenvalue is estimated by
-    /// inverse iteration, from above, with a margin.
+    /// Factorises A; `None` where an eigenvalue of A may be below [`MIN_EIGENVALUE`]. For a matrix of one block the
+    /// bound is rigorous: the least eigenvalue is at least the inverse of Σ 1/λ = ‖R⁻¹‖². For a larger matrix, inverse
+    /// iteration estimates the least eigenvalue from above, and [`ESTIMATE_MARGIN`] is the margin.
     ///
-    /// The root is computed in the memory of A, which is lost where the result is `None`.
+    /// The root is computed in the memory of A; where the result is `None`, A is lost.
     pub fn within(a: DMatrix<f64>) -> Option<Regular> {
         let found = Regular { root: root(a)? };
         let inverses = if found.root.nrows() > BLOCK {
@@ -39,7 +39,7 @@ impl Regular {
         (inverses * MIN_EIGENVALUE <= 1.0).then_some(found)
     }
 
-    /// The largest eigenvalue of A⁻¹, estimated from below: inverse iteration all but reaches it from a vector that
+    /// The largest eigenvalue of A⁻¹, estimated from below by inverse iteration, which starts from a vector that
     /// resembles no eigenvector.
     fn largest_inverse(&self) -> f64 {
         let mut x = DVector::from_fn(self.root.nrows(), |i, _| 1.0 + 0.5 * ((i * i) as f64).sin());
@@ -52,7 +52,7 @@ impl Regular {
         size
     }
 
-    /// Whether no row was skipped.
+    /// Whether no row of A is a row of zeros.
     pub fn has_no_zero_rows(&self) -> bool {
         self.root.diagonal().iter().all(|x| x.is_finite())
     }
@@ -88,7 +88,7 @@ impl Regular {
     /// A⁻¹ = R⁻¹R⁻ᵀ, in the memory of R.
     pub fn into_inverse(mut self) -> DMatrix<f64> {
         let n = self.root.nrows();
-        // a panel of R⁻¹ needs no columns of R after the panel's, so the last panel comes first
+        // a panel of R⁻¹ depends on no column of R after the panel, so the last panel is computed first
         let all: Vec<(usize, usize)> = blocks(n).collect();
         for &(start, end) in all.iter().rev() {
             let panel = self.panel((start, end));
@@ -96,7 +96,7 @@ impl Regular {
         }
         let mut inverse = self.root;
         for (start, end) in blocks(n) {
-            // R⁻¹ is upper triangular too: columns before `start` are zero in these rows, and hold the inverse by now
+            // rows start..end of R⁻¹ are zero before column `start`, where the rows above hold the inverse by now
             let right = inverse.view((start, start), (end - start, n - start)).transpose();
             let own = inverse.view((0, start), (end, n - start)) * right;
             inverse.view_mut((0, start), own.shape()).copy_from(&own);
@@ -105,7 +105,7 @@ impl Regular {
         inverse
     }
 
-    /// A block of columns of R⁻¹, without the rows of zeros below.
+    /// Columns start..end of R⁻¹, end × (end - start): the elements below are zero.
     fn panel(&self, (start, end): (usize, usize)) -> DMatrix<f64> {
         let mut panel = DMatrix::zeros(end, end - start);
         for c in 0..end - start {
@@ -133,8 +133,8 @@ fn blocks(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).step_by(BLOCK).map(move |start| (start, (start + BLOCK).min(n)))
 }
 
-/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`MIN_EIGENVALUE`]. A row of zeros gets ∞ on the
-/// diagonal, whose inverse is the zero that is wanted there.
+/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`MIN_EIGENVALUE`]. A row k of zeros gets r_kk
+/// = ∞, so that 1/r_kk = 0.
 fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = a.nrows();
     let empty: Vec<bool> = a.column_iter().map(|column| column.iter().all(|x| *x == 0.0)).collect();
@@ -170,7 +170,7 @@ fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(root)
 }
 
-/// R⁻¹g in place, using only rows `from..to` of R, for a g that is zero below them.
+/// Replaces elements `from..to` of g by R⁻¹g, with rows and columns `from..to` of R, if g is zero from `to` on.
 fn above(root: &DMatrix<f64>, g: &mut [f64], (from, to): (usize, usize)) {
     for l in (from..to).rev() {
         g[l] /= root[(l, l)];

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// Rows of numbers, usually of equal length; then only the numbers are stored.
+/// Rows of numbers. Where all rows have the length of the first row, as is usual, the ends of the rows are not stored.
 #[derive(Debug, Clone, Default)]
 pub struct RowLists {
     numbers: Vec<f64>,
@@ -43,13 +43,13 @@ impl RowLists {
         self.numbers.reserve_exact(rows * self.width);
     }
 
-    /// The numbers of a row, by its number.
+    /// The numbers of row `row`.
     #[inline]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.numbers[self.range(row)]
     }
 
-    /// The numbers of a row for writing, by its number.
+    /// The numbers of row `row`, for writing.
     pub fn row_mut(&mut self, row: usize) -> &mut [f64] {
         let range = self.range(row);
         &mut self.numbers[range]

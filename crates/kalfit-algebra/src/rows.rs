@@ -84,7 +84,7 @@ impl<T: Real> Rows<T> {
         &self.data
     }
 
-    /// A matrix with these elements, row-major.
+    /// The matrix with elements `data`, row-major, rows × columns.
     #[inline(always)]
     pub(crate) fn from_vec(rows: usize, columns: usize, data: Vec<T>) -> Rows<T> {
         debug_assert_eq!(data.len(), rows * columns, "numbers of a matrix");
@@ -103,14 +103,14 @@ impl<T: Real> Rows<T> {
         &mut self.data[i * self.columns..][..self.columns]
     }
 
-    /// The rows above row i, and row i for writing.
+    /// The elements of rows 0..i, and the elements of row i for writing.
     #[inline(always)]
     pub(crate) fn rows_above_and(&mut self, i: usize) -> (&[T], &mut [T]) {
         let (above, rest) = self.data.split_at_mut(i * self.columns);
         (above, &mut rest[..self.columns])
     }
 
-    /// Appends rows below.
+    /// Appends the rows of `below`.
     #[inline(always)]
     pub fn append(&mut self, below: &Rows<T>) {
         debug_assert_eq!(self.columns, below.columns, "one width");
@@ -118,13 +118,13 @@ impl<T: Real> Rows<T> {
         self.data.extend_from_slice(&below.data);
     }
 
-    /// The first columns of the matrix.
+    /// The first `columns` columns of the matrix.
     #[inline(always)]
     pub fn first_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(0, columns)
     }
 
-    /// The last columns of the matrix.
+    /// The last `columns` columns of the matrix.
     #[inline(always)]
     pub fn last_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(self.columns - columns, columns)
@@ -139,7 +139,7 @@ impl<T: Real> Rows<T> {
         some
     }
 
-    /// The first rows of the matrix.
+    /// The first `rows` rows of the matrix.
     #[inline(always)]
     pub(crate) fn first_rows(&self, rows: usize) -> Rows<T> {
         Rows { rows, columns: self.columns, data: self.data[..rows * self.columns].to_vec() }
@@ -188,7 +188,7 @@ impl<T: Real> Rows<T> {
         self
     }
 
-    /// Whether no entry is NaN or larger in magnitude than `bound`.
+    /// Whether |a_ik| ≤ `bound` for every element a_ik; false if an element is NaN.
     #[inline(always)]
     pub(crate) fn is_within(&self, bound: f64) -> bool {
         let bound = T::splat(bound);

@@ -1,6 +1,6 @@
 //! Sparse matrices by columns, for the derivatives of elements of Σ with respect to coordinates. With p states
-//! estimated together there are p²/2 of both, and each coordinate affects at most 2p elements, so that a product with
-//! such a matrix takes p⁵ steps where a dense one takes p⁶.
+//! estimated together there are about p²/2 elements and as many coordinates, and each coordinate affects at most 2p
+//! elements, so that a product with such a matrix takes p⁵ steps where a dense one takes p⁶.
 
 use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 
@@ -8,9 +8,9 @@ use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sparse {
     rows: usize,
-    /// End of the entries of each column.
+    /// Index in `entries` where each column ends.
     ends: Vec<usize>,
-    /// Row and value, by ascending row within a column.
+    /// (row, value) of all entries, column by column, by ascending row within a column.
     entries: Vec<(usize, f64)>,
 }
 
@@ -20,14 +20,14 @@ impl Sparse {
         Sparse { rows, ends: Vec::new(), entries: Vec::new() }
     }
 
-    /// The nonzero entries of a dense matrix.
+    /// The sparse form of a dense matrix.
     pub fn of(dense: &DMatrix<f64>) -> Sparse {
         let mut sparse = Sparse::with_height(dense.nrows());
         dense.column_iter().for_each(|column| sparse.push(column.iter().copied().enumerate()));
         sparse
     }
 
-    /// Appends a column with these entries; entries of the same row are added.
+    /// Appends a column with the given (row, value) entries, in any order; entries with one row are added up.
     pub fn push(&mut self, entries: impl Iterator<Item = (usize, f64)>) {
         let start = self.entries.len();
         self.entries.extend(entries.filter(|(_, x)| *x != 0.0));
@@ -58,7 +58,7 @@ impl Sparse {
         self.ends.len()
     }
 
-    /// (row, value) of the entries of a column.
+    /// (row, value) of the entries of column `c`, by ascending row.
     pub fn column(&self, c: usize) -> &[(usize, f64)] {
         let start = if c == 0 { 0 } else { self.ends[c - 1] };
         &self.entries[start..self.ends[c]]
@@ -69,7 +69,7 @@ impl Sparse {
         (0..self.ncols()).map(|c| self.column(c))
     }
 
-    /// The matrix with its zeros, rows × columns.
+    /// The dense matrix, rows × columns.
     pub fn dense(&self) -> DMatrix<f64> {
         let mut dense = DMatrix::zeros(self.nrows(), self.ncols());
         for (c, entries) in self.columns().enumerate() {
@@ -140,7 +140,7 @@ impl Sparse {
         out
     }
 
-    /// A'MA of a symmetric M that is no longer needed.
+    /// A'MA of a symmetric M; where A is the identity, M itself.
     pub fn congruence_of(&self, m: DMatrix<f64>) -> DMatrix<f64> {
         if self.is_identity() { m } else { self.congruence(&m) }
     }
@@ -172,7 +172,7 @@ impl Sparse {
     }
 }
 
-/// Σ a_i x_i.
+/// Σ a_i x_i over the entries (i, a_i).
 fn dot(entries: &[(usize, f64)], x: &[f64]) -> f64 {
     entries.iter().map(|&(row, a)| a * x[row]).sum()
 }

@@ -16,7 +16,8 @@ pub fn pair(i: usize, j: usize) -> usize {
     i * (i + 1) / 2 + j
 }
 
-/// Eigenvalues and eigenvectors (columns), in ascending order, signs fixed so that the largest entry is positive.
+/// Eigenvalues in ascending order, and eigenvectors as columns, each with the sign that makes the entry of largest
+/// magnitude positive.
 pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let n = a.nrows();
     if n == 0 {
@@ -27,7 +28,7 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     order.sort_by(|&i, &j| eigenvalues[i].total_cmp(&eigenvalues[j]));
     let values = order.iter().map(|&i| eigenvalues[i]).collect();
     for c in 0..n {
-        // earlier swaps moved columns: follow them to where the wanted column is now
+        // earlier swaps moved columns: follow the swaps to the present place of the wanted column
         let mut from = order[c];
         while from < c {
             from = order[from];
@@ -42,8 +43,8 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     (values, vectors)
 }
 
-/// Eigenvalues and eigenvectors in any order. The tridiagonal method of the library occasionally returns NaN for a
-/// sparse singular matrix; plane rotations never do.
+/// Eigenvalues and eigenvectors in any order. The tridiagonal method of nalgebra occasionally returns NaN for a sparse
+/// singular matrix; plane rotations never do.
 fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let symmetric = || DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| (a[(i, k)] + a[(k, i)]) * 0.5);
     let known = a.iter().all(|x| x.is_finite());
@@ -52,10 +53,11 @@ fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     if all_finite || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { jacobi(symmetric()) }
 }
 
-/// Largest number of sweeps of rotations; they converge quadratically, after some six to ten.
+/// Largest number of sweeps of rotations; the method converges quadratically, after some six to ten sweeps.
 const MAX_SWEEPS: usize = 60;
 
-/// Jacobi's method: a rotation sets each off-diagonal element to zero in turn (Golub and Van Loan, section 8.5).
+/// Eigenvalues and eigenvectors by Jacobi's method: a rotation sets each off-diagonal element to zero in turn (Golub
+/// and Van Loan, section 8.5).
 fn jacobi(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let n = a.nrows();
     let size = a.amax();
@@ -73,7 +75,7 @@ fn jacobi(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     (a.diagonal().iter().map(|x| x * size).collect(), vectors)
 }
 
-/// Rotates element (k, i) to zero.
+/// Rotates rows and columns k and i of `a` so that element (k, i) becomes zero, and columns k and i of `vectors`.
 fn rotate(a: &mut DMatrix<f64>, vectors: &mut DMatrix<f64>, k: usize, i: usize) {
     if a[(k, i)] == 0.0 {
         return;
@@ -112,13 +114,13 @@ pub fn by_eigenvectors(vectors: &DMatrix<f64>, values: impl Iterator<Item = f64>
 }
 
 /// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. The eigenvalues
-/// are those after scaling to unit diagonal, so that a large element costs a small one no digits.
+/// are taken after scaling to unit diagonal, so that a large element costs a small element no digits.
 pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (size, values, vectors) = scaled_eigen(a);
     DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| size[i] * vectors[(i, k)] * values[k].max(0.0).sqrt())
 }
 
-/// [`sizes`], and eigenvalues and eigenvectors after scaling to unit diagonal by them.
+/// The [`sizes`] s of the diagonal, and eigenvalues and eigenvectors of the matrix with elements a_ij / (s_i s_j).
 pub fn scaled_eigen(a: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     let size = sizes(a);
     let (values, vectors) = eigen(&divided_by_sizes(a, &size));
@@ -131,7 +133,8 @@ pub fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     divided_by_sizes(&pseudo_inverse(&divided_by_sizes(a, &size)), &size)
 }
 
-/// Orthonormal basis of the directions whose eigenvalues, after scaling to unit diagonal, are `seen`.
+/// Orthonormal basis of the span of the vectors (s_i v_ik)_i for which `seen(λ_k)` is true, with the sizes s,
+/// eigenvalues λ and eigenvectors v of [`scaled_eigen`].
 pub fn range(a: &DMatrix<f64>, seen: impl Fn(f64) -> bool) -> DMatrix<f64> {
     let (size, values, vectors) = scaled_eigen(a);
     let seen: Vec<usize> = (0..values.len()).filter(|&k| seen(values[k])).collect();
@@ -159,7 +162,7 @@ pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
     (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0))
 }
 
-/// DAD, D = diag(scale), of a symmetric matrix given by its entries (i, j), i ≥ j. Both entries of an element get the
+/// DAD, D = diag(scale), of a symmetric matrix given by its entries (i, j), i ≥ j. Entries (i, j) and (j, i) get the
 /// same bits, although (d_i a_ij) d_j and (d_j a_ji) d_i may round differently.
 pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
     let p = scale.len();
@@ -168,7 +171,7 @@ pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64
     matrix
 }
 
-/// Writes DAD of `scaled` to `to`, row-major.
+/// Writes DAD, as computed by [`scaled`], to `to`, row-major.
 pub fn write_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut [f64]) {
     let p = scale.len();
     for i in 0..p {
@@ -179,7 +182,7 @@ pub fn write_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut
     }
 }
 
-/// True when no eigenvalue is negative beyond rounding.
+/// Whether no eigenvalue is negative beyond rounding, after scaling to unit diagonal.
 pub fn is_semidefinite(a: &DMatrix<f64>) -> bool {
     let (least, largest) = scaled_range(a);
     least >= -1e-10 * largest.abs().max(f64::MIN_POSITIVE)

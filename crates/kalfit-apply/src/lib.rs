@@ -1,4 +1,4 @@
-//! What is done with a known (α, μ, Σ): posteriors of new tests, predictions, matrices for a filter, plans, Allan variances.
+//! Uses of a known (α, μ, Σ): posteriors of new tests, predictions, matrices of filters, plans and Allan variances.
 
 pub mod allan;
 pub mod apply;

@@ -69,7 +69,12 @@ fn edited(package: &'static str, what: &'static str) -> Result<BudgetLine, Strin
     println!("{package}: {seconds:.0} s, compiled {}", compiled.join(", "));
     let kernels = compiled.iter().filter(|name| KERNELS.contains(&name.as_str())).count();
     let holds = seconds <= 40.0 && kernels == 0;
-    Ok(BudgetLine { what, found: format!("{seconds:.0} s, {kernels} crates with kernels compiled"), budget: "40 s, 0", holds })
+    Ok(BudgetLine {
+        what,
+        found: format!("{seconds:.0} s, {kernels} crates with kernels compiled"),
+        budget: "40 s, 0",
+        holds,
+    })
 }
 
 /// Names of the packages that cargo did not take as they were.

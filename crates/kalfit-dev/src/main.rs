@@ -2,8 +2,8 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a developer's tool talks on the terminal")]
 
 mod book;
-mod budget;
 mod browser;
+mod budget;
 mod fuzz;
 mod places;
 mod python;

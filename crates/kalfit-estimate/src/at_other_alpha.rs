@@ -1,5 +1,5 @@
-//! The objective of a finished search under reductions at another α, in the same coordinates, for mixed second
-//! derivatives of α, μ and Σ; and the distribution of ξ_j at a point, for posteriors.
+//! The objective of a finished search under reductions at another α, in the coordinates of that search, for mixed
+//! second derivatives by α, μ and Σ; and the distribution of ξ_j at a point, for posteriors.
 
 use std::sync::Arc;
 
@@ -57,7 +57,8 @@ impl FinalState {
         self.problem.score_out(&self.sums.score())
     }
 
-    /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
+    /// The objective at the point of this state under other reductions of the tests; `None` where the objective is not
+    /// defined.
     pub fn at_other_alpha(
         &self,
         reductions: &Reductions,
@@ -67,8 +68,8 @@ impl FinalState {
         Reevaluation::of(origin, &self.evidence(reductions), &self.assumed.at(alpha))
     }
 
-    /// The point that a step along the tangent basis of this state leads to, for remote tests whose sums there are not
-    /// requested yet.
+    /// The point after a step along the tangent basis of this state, under other reductions of the tests: sums of
+    /// remote tests at that point can be requested in advance.
     pub fn upcoming_point(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
         let point = newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?;
         let (problem, point) = self.converted_to(reductions, &self.assumed.at(alpha), point).ok()?;
@@ -76,7 +77,7 @@ impl FinalState {
         Some(UpcomingPoint { problem, point, assumed: self.assumed.clone() })
     }
 
-    /// A point of this problem, converted to the problem of other reductions of the same tests.
+    /// (problem of other reductions of the tests, a point of this problem converted to that problem).
     fn converted_to(
         &self,
         reductions: &Reductions,
@@ -88,13 +89,14 @@ impl FinalState {
         Ok((problem, Point { root, ..point }))
     }
 
-    /// The state after a step along the tangent basis of this state, under other reductions of the same tests; `None`
-    /// where it is not defined.
+    /// The state after a step along the tangent basis of this state, under other reductions of the tests; `None` where
+    /// the objective is not defined.
     pub fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<FinalState> {
         self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?)
     }
 
-    /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
+    /// The state at another point of this problem, under other reductions of the tests; `None` where the objective is
+    /// not defined.
     pub fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<FinalState> {
         let structure = self.assumed.at(alpha);
         let (problem, point) = self.converted_to(reductions, &structure, point).ok()?;
@@ -118,15 +120,16 @@ impl FinalState {
         Some(FinalState { problem: Arc::new(problem), newton_iterate: place, sums, assumed, settings, joint: None })
     }
 
-    /// Gradient of one test's ℓ_j along the tangent basis of this state, under another reduction of the test.
+    /// Gradient of ℓ_j of one test along the tangent basis of this state, under another reduction of the test.
     pub fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
         let class = self.class_of(reduction);
         let sums = self.problem.of_class(&class, &self.newton_iterate.point, Order::First);
         self.along(&sums, &self.problem, &self.newton_iterate.point)
     }
 
-    /// Calls `of` for each independent part of the data, a test, or a unit where tests are in groups: with the numbers
-    /// of its tests and their sums of first order at this state. The order depends on the ids alone.
+    /// Calls `of` for each unit, or for each test where there are no groups: with the indices in `evidence` of the
+    /// tests of that part, and the sums of first order over these tests at this state. The order of the calls depends
+    /// on the ids alone.
     pub fn each_independent(&self, evidence: &Reductions, of: &mut dyn FnMut(&[usize], &Sums)) {
         let classes = self.problem.classes.of(evidence);
         let (point, regressors) = (&self.newton_iterate.point, &self.problem.mean.regressors[..]);
@@ -142,18 +145,18 @@ impl FinalState {
         }
     }
 
-    /// The gradient from sums at this state, along its tangent basis.
+    /// The gradient along the tangent basis of this state, from sums at this state.
     pub fn gradient_along(&self, sums: &Sums) -> DVector<f64> {
         self.along(sums, &self.problem, &self.newton_iterate.point)
     }
 
-    /// A class of one test.
+    /// The class that holds one test alone, in the coordinates of this problem.
     fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
         let alone = std::iter::once(reduction).collect();
         self.problem.classes.single(&self.evidence(&alone), 0)
     }
 
-    /// The gradient from sums at a point of a problem, along the tangent basis of this state.
+    /// The gradient along the tangent basis of this state, from sums at a point of a problem.
     fn along(&self, sums: &Sums, problem: &Problem, point: &Point) -> DVector<f64> {
         let chart = problem.covariance.chart(&point.root);
         let score = self.problem.covariance.elements.pack_score(&sums.score());
@@ -163,12 +166,13 @@ impl FinalState {
 }
 
 impl UpcomingPoint {
-    /// Requests in advance what [`FinalState::at_other_alpha`] will need at this point.
+    /// Requests in advance the sums of remote tests that [`FinalState::at_other_alpha`] needs at this point.
     pub fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
         _ = Reevaluation::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
     }
 
-    /// Requests the number of tests and the number that inform each state, which a fit reports at its end.
+    /// Requests the number of remote tests and, for each state, the number of tests that inform the state: a fit
+    /// reports both.
     pub fn request_counts(&self) {
         _ = self.problem.remote_counts();
         self.problem.classes.remote.iter().for_each(|remote| _ = remote.ask(Question::Survey));
@@ -188,7 +192,7 @@ impl Reevaluation {
         Ok(sums.map(|sums| Reevaluation { problem: own, point, sums }))
     }
 
-    /// ∂ℓ/∂(μ in η, γ; σ pairs) for every element, whether the structure holds it or not.
+    /// ∂ℓ/∂(μ, γ, σ) in η, with respect to every element, including elements that the structure fixes.
     pub fn scores(&self) -> DVector<f64> {
         let of_sigma = self.problem.covariance.elements.pack_score(&self.sums.score());
         DVector::from_iterator(
@@ -197,7 +201,7 @@ impl Reevaluation {
         )
     }
 
-    /// The gradient along the tangent basis of the state that the point was taken from.
+    /// The gradient along the tangent basis of `origin`, the state that the point was taken from.
     pub fn gradient(&self, origin: &FinalState) -> DVector<f64> {
         origin.along(&self.sums, &self.problem, &self.point)
     }
@@ -218,12 +222,13 @@ impl Reevaluation {
     }
 }
 
-/// The point with its root in the form that its chart gives, as in a Newton iterate.
+/// The point with F rotated into the shape of a chart (FF' stays unchanged), as in a Newton iterate.
 fn in_chart(problem: &Problem, point: &Point) -> Point {
     Point { root: problem.covariance.chart(&point.root).root, ..point.clone() }
 }
 
-/// The root with the same coordinates ψ where matrices of the structure depend on α.
+/// The root in the new map with the coordinates ψ that `root` has in the old map: matrices of the structure may depend
+/// on α.
 fn converted_root(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
     let parts = from.parts.iter().zip(&to.parts);
     to.assembled(parts.map(|(old, new)| converted_part(&old.form, &new.form, old.of(root))))
@@ -248,13 +253,14 @@ fn converted_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>
 }
 
 impl Problem {
-    /// ∂ℓ/∂Σ, or a part of it, in the user's units.
+    /// ∂ℓ/∂Σ in the user's units, from ∂ℓ/∂Σ in η; also for one term of ∂ℓ/∂Σ or for the leading block.
     pub fn score_out(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
         let scale = &self.classes.frame.scale;
         DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
     }
 
-    /// Requests sums of remote tests at a point together with the score in α there, which is needed next.
+    /// Calls `ask`, which requests sums of remote tests at a point, and requests in the same round the score in α at
+    /// that point, which is needed next.
     pub(super) fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
         let Some(remote) = &self.classes.remote else { return ask() };
         remote.answers.together(|| {
@@ -265,14 +271,15 @@ impl Problem {
         })
     }
 
-    /// Numbers of remote tests that inform and that observe each state, as if there were no groups; `None` where there is
-    /// no answer, or no remote test.
+    /// Answer of remote tests to [`Question::Observability`] as if there were no groups: for each state, how many tests
+    /// inform the state and how many observe the state; `None` without an answer or without remote tests.
     pub fn remote_counts(&self) -> Option<Vec<f64>> {
         let remote = self.classes.remote.as_ref()?;
         remote.ask(Question::Observability { frame: self.classes.apart().frame })
     }
 
-    /// The problem of other reductions of the same tests, with the coordinates η and the criterion of another problem.
+    /// The problem of given reductions with the coordinates η and the criterion of `like`, another problem of the
+    /// tests.
     pub fn within(
         reductions: &Reductions,
         structure: &Structure<'_>,

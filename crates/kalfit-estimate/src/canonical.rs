@@ -1,4 +1,4 @@
-//! An order of tests that does not depend on their order in the data, and the classes of tests.
+//! The division of tests into classes, in an order that does not depend on the order of the data.
 
 use std::cmp::Ordering;
 
@@ -7,12 +7,12 @@ use rayon::prelude::*;
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::{Chain, ChainPhase};
 
-/// The tests of each class, by their numbers.
+/// The indices of the tests of each class.
 #[derive(Debug, Clone)]
 pub(super) struct Members {
-    /// Numbers of the tests, class after class.
+    /// Indices of the tests, class after class.
     tests: Vec<usize>,
-    /// End of each class in `tests`.
+    /// Position in `tests` where each class ends.
     ends: Vec<usize>,
 }
 
@@ -22,7 +22,7 @@ impl Members {
         Members { tests: tests.to_vec(), ends: (1..=tests.len()).collect() }
     }
 
-    /// All tests, class after class.
+    /// The indices of all tests, class after class.
     pub(super) fn tests(&self) -> &[usize] {
         &self.tests
     }
@@ -32,16 +32,16 @@ impl Members {
         self.ends.len()
     }
 
-    /// The tests of a class.
+    /// The indices of the tests of a class.
     pub(super) fn class(&self, class: usize) -> &[usize] {
         &self.tests[class.checked_sub(1).map_or(0, |before| self.ends[before])..self.ends[class]]
     }
 }
 
-/// The reductions sorted by the first and the last number of R, then in [`canonical`] order. `chained`: tests form one
-/// class only if they agree in every phase.
+/// The tests sorted by the first and the last entry of R, then in [`canonical`] order. With `chained`, tests form one
+/// class only if the matrices of every phase and link are equal.
 pub(super) fn ordered(reductions: &Reductions, chained: bool) -> Members {
-    // these numbers distinguish most reductions, and are compared without access to the rest of each
+    // these two entries distinguish most reductions, and comparing two keys needs no access to whole reductions
     let keyed = |j: usize| {
         let factor = reductions.factor(j);
         ((factor.first().map_or(0, |x| ordinal(*x)), factor.last().map_or(0, |x| ordinal(*x))), j)
@@ -65,7 +65,7 @@ fn ordinal(x: f64) -> i64 {
     bits ^ (((bits >> 63) as u64) >> 1) as i64
 }
 
-/// Order by R, covariates, C, then id: a total order that puts classes together and ignores the order of the tests.
+/// Order by R, covariates, C, then id: a total order that puts classes together and ignores the order of the data.
 fn canonical(reductions: &Reductions, a: usize, b: usize) -> Ordering {
     compare(reductions.factor(a), reductions.factor(b))
         .then_with(|| compare(reductions.covariates(a), reductions.covariates(b)))
@@ -74,7 +74,7 @@ fn canonical(reductions: &Reductions, a: usize, b: usize) -> Ordering {
         .then_with(|| reductions.id(a).cmp(reductions.id(b)))
 }
 
-/// Order by all matrices of the phases and of the links between them.
+/// Order by all matrices of the phases and of the links between phases.
 fn compare_chains(a: Option<&Chain>, b: Option<&Chain>) -> Ordering {
     let (Some(a), Some(b)) = (a, b) else { return a.is_some().cmp(&b.is_some()) };
     let of_phases = |(a, b): (&ChainPhase, &ChainPhase)| {
@@ -89,7 +89,7 @@ fn compare_chains(a: Option<&Chain>, b: Option<&Chain>) -> Ordering {
     different.unwrap_or_else(|| a.phases.len().cmp(&b.phases.len()))
 }
 
-/// C of a test; empty where nothing is measured exactly.
+/// C of a test, q × p by rows; empty where nothing is measured exactly.
 fn exact(reductions: &Reductions, number: usize) -> &[f64] {
     reductions.exact(number).map_or(&[], |exact| &exact.coefficients)
 }

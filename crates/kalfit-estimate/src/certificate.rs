@@ -1,8 +1,9 @@
-//! The optimality certificate (theory §3): what "converged" means, on the boundary of the cone too.
+//! The optimality certificate (theory §3): what "converged" means, inside the cone of positive semidefinite Σ and on
+//! the boundary.
 //!
 //! With Λ the Lagrange multipliers of the constraints on Σ, the conditions are ∂ℓ/∂μ = 0 along the free mean, (G - Λ)Σ
-//! = 0, and -(G - Λ) ⪰ 0 on the null space of Σ. Each figure of the certificate is in standard errors: the number of
-//! them by which the optimum may still be away.
+//! = 0, and -(G - Λ) ⪰ 0 on the null space of Σ. Each figure of the certificate is a distance to the optimum in
+//! standard errors.
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
@@ -35,16 +36,17 @@ const MIN_STD_DEV_RATIO: f64 = 1e-3;
 /// Deviations from the conditions of a maximum, in standard errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
-    /// Score of the free mean coordinates.
+    /// Newton decrement over the free mean coordinates, with Σ held fixed.
     pub mean: f64,
-    /// Score of the free coordinates of Σ: (G - Λ)Σ = 0.
+    /// Newton decrement over the free coordinates of Σ, with the mean held fixed: zero where (G - Λ)Σ = 0.
     pub covariance: f64,
-    /// Largest eigenvalue of G - Λ on the null space of Σ, zero if none is positive: ℓ would rise if Σ grew there.
+    /// Largest score G - Λ along a direction in the null space of Σ, zero if no score is positive: ℓ rises if Σ grows
+    /// in a direction of positive score.
     pub null_space: f64,
     /// Newton decrement over all coordinates together.
     pub decrement: f64,
-    /// A bound on the effect of rounding errors: where large numbers are added up, computed scores vanish before the
-    /// optimum is reached.
+    /// A bound on the effect of rounding errors on the estimates: where large numbers are added up, computed scores
+    /// vanish before the optimum is reached.
     pub rounding: f64,
 }
 
@@ -59,8 +61,7 @@ impl Certificate {
         self.rounding <= MAX_ROUNDING
     }
 
-    /// Whether rounding errors exceed the scores that a search ends with, so that they limit how well the optimum is
-    /// known.
+    /// Whether rounding errors exceed 10⁻⁶ standard errors: such errors limit how well the optimum is known.
     pub fn is_limited_by_rounding(&self) -> bool {
         self.rounding > REPORTED_ROUNDING
     }
@@ -76,7 +77,7 @@ impl Certificate {
     }
 }
 
-/// A direction in which Σ should leave the boundary, and how far a Newton step would go.
+/// A direction dΣ off the boundary of the cone, and the length of a Newton step along dΣ.
 #[derive(Debug, Clone)]
 pub(crate) struct Escape {
     /// dΣ, a positive semidefinite matrix of rank one or Σ* itself.
@@ -86,7 +87,7 @@ pub(crate) struct Escape {
     pub(crate) score: f64,
 }
 
-/// The certificate at an iterate, and the direction off the boundary where the certificate fails on the null space.
+/// The certificate at an iterate and, if the certificate fails on the null space of Σ, a direction off the boundary.
 pub(crate) fn certificate(map: &CovarianceMap, place: &NewtonIterate, tests: f64) -> (Certificate, Option<Escape>) {
     let escape = escape(map, place, tests);
     let (mean, covariance) = scores(place);
@@ -97,7 +98,7 @@ pub(crate) fn certificate(map: &CovarianceMap, place: &NewtonIterate, tests: f64
     )
 }
 
-/// Decrements of the mean and of Σ, each with the other held fixed.
+/// (decrement over the mean coordinates at fixed Σ, decrement over the coordinates of Σ at a fixed mean).
 fn scores(place: &NewtonIterate) -> (f64, f64) {
     let tangent = &place.tangent;
     let (q, n) = (tangent.mean, tangent.gradient.len());
@@ -149,9 +150,9 @@ fn part_escape(map: &CovarianceMap, part: &PhaseForm, place: &NewtonIterate, tes
     }
 }
 
-/// The direction for Σ = DRD where standard deviations are zero. To first order ℓ is flat in them, unless others that
-/// are not zero are correlated with them, which the gradient shows. To second order ℓ rises by u'(G∘R)u when they grow
-/// to u ≥ 0; single standard deviations and pairs are tried.
+/// The direction off the boundary for Σ = DRD, where D has zeros. To first order ℓ is flat in a standard deviation that
+/// is zero, unless the state is correlated with a state of non-zero variance, which the gradient shows. To second order
+/// ℓ rises by u'(G∘R)u when the zero standard deviations grow to u ≥ 0; single standard deviations and pairs are tried.
 fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tests: f64) -> Option<Escape> {
     let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
     let sigma = place.point.covariance();
@@ -167,7 +168,8 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
         along(direction, slope, weight, tests)
     };
     let unit = |i: usize| if weight[(i, i)] > 0.0 { (tests / weight[(i, i)]).sqrt() } else { 0.0 };
-    // loss of ℓ by one alone: -a u² - b v² + 2cuv is largest, relative to its size, where u : v = √b : √a
+    // √ of the loss of ℓ by one standard deviation: -a u² - b v² + 2cuv is largest relative to a u² + b v² at u : v =
+    // √b : √a
     let loss = |i: usize| (-residual[(i, i)] * r[(i, i)]).max(0.0).sqrt() * unit(i);
     let pairs = zero.iter().enumerate().flat_map(|(k, &i)| zero[..k].iter().map(move |&j| (i, j)));
     let singles = zero.iter().map(|&i| grown(&[(i, unit(i))]));
@@ -179,8 +181,8 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
     singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// The direction of largest score in the null space of Σ on blocks, after undetermined multipliers have made that score
-/// as small as possible.
+/// The direction of largest score in the null space of the blocks of Σ, after undetermined multipliers have made that
+/// score as small as possible.
 fn null_escape(
     blocks: &[Vec<usize>],
     root: &DMatrix<f64>,
@@ -210,9 +212,9 @@ fn null_escape(
     Some(along(direction, *scores.last()?, weight, tests))
 }
 
-/// The complement of the range of FF' in each block, orthogonal to the range in the natural size of each element: a
-/// spread much larger than another must not make the other look negligible. Where GΣ = 0 the complement serves as the
-/// null space, as any complement of the range does.
+/// For each block, a basis (columns) of a complement of the range of FF', orthogonal to the range in natural sizes, so
+/// that a large standard deviation does not make a small one look negligible. Where GΣ = 0, any complement of the range
+/// may replace the null space.
 fn null_spaces(blocks: &[Vec<usize>], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     let sizes = natural_sizes(root);
     let of = |block: &Vec<usize>| {
@@ -237,7 +239,7 @@ fn block_diagonal(parts: &[DMatrix<f64>]) -> DMatrix<f64> {
     whole
 }
 
-/// The escape in direction D, where the expected information is about ½ N tr(W̄DW̄D).
+/// The escape in direction D, with the expected information ½ N tr(W̄DW̄D), W̄ the mean of W_j over the N tests.
 fn along(direction: DMatrix<f64>, slope: f64, weight: &DMatrix<f64>, tests: f64) -> Escape {
     let each = weight * &direction; // N W̄D
     let information = 0.5 * (&each * &each).trace() / tests;

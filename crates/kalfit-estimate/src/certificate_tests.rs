@@ -1,4 +1,5 @@
-//! Points that the certificate must refuse, one for each of its conditions, and points next to them that it must accept.
+//! Points that the certificate must refuse, one for each of its conditions, and points next to them that it must
+//! accept.
 //!
 //! All tests share one design R, and their d - Rμ =: z have exactly the second moment C. With S = I + RΣR' then
 //! G = ½ N R'S⁻¹(C - S)S⁻¹R, so that optima, slopes and their standard errors are known without the code under test.
@@ -43,8 +44,8 @@ struct Case {
 }
 
 impl Case {
-    /// RΣR' = V diag(λ) V' and C = S + U diag(m) U', with V the first columns of a slanted basis and U the others: G vanishes on
-    /// the range of Σ, and along U it is ½ N m.
+    /// RΣR' = V diag(λ) V' and C = S + U diag(m) U', with V the first columns of a slanted basis and U the others: G
+    /// vanishes on the range of Σ, and along U it is ½ N m.
     fn new(factor: DMatrix<f64>, range: &[f64], off: &[f64]) -> Case {
         let (p, r) = (range.len() + off.len(), range.len());
         let basis = slanted(p);
@@ -462,7 +463,8 @@ fn a_scale_that_is_not_zero_has_no_null_space() {
 
 #[test]
 fn constraints_take_their_share_of_the_score() {
-    // Σ = s (1, 1)'(1, 1) with σ_00 fixed, so that C = S + S (m uu' + λ e_0 e_0') S, u = (1, -1)/√2, has the multiplier ½ N λ
+    // Σ = s (1, 1)'(1, 1) with σ_00 fixed, so that C = S + S (m uu' + λ e_0 e_0') S, u = (1, -1)/√2, has the multiplier
+    // ½ N λ
     let s: f64 = 0.8;
     let spread = DMatrix::from_element(2, 1, s.sqrt());
     let inner = DMatrix::identity(2, 2) + &spread * spread.transpose();

@@ -8,12 +8,12 @@ use crate::covariance::{CoordinateForm, CovarianceMap};
 use kalfit_algebra::elements::Elements;
 use kalfit_algebra::sparse::Sparse;
 
-/// Coordinates ψ around a root F: F(ψ + s) = F + Σ s_k F_k, each F_k given by its entries (row, column, value).
+/// Coordinates ψ around a root F: F(ψ + s) = F + Σ s_k F_k, with each F_k as a list of entries (row, column, value).
 #[derive(Debug, Clone)]
 pub struct Chart {
     pub root: DMatrix<f64>,
     pub(crate) coordinates: Vec<Vec<(usize, usize, f64)>>,
-    /// Values of coordinates that cannot be negative (standard deviations); `None` for others.
+    /// Value of each coordinate that cannot be negative (a standard deviation); `None` for each other coordinate.
     pub(crate) bounded: Vec<Option<f64>>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
@@ -50,7 +50,7 @@ impl CovarianceMap {
 }
 
 impl Chart {
-    /// dσ_pair / dψ, elements × coordinates, at a root that may have moved on from this chart's.
+    /// dσ_pair / dψ, elements × coordinates, at `root`, which may differ from the root of this chart.
     pub(crate) fn jacobian_at(&self, root: &DMatrix<f64>) -> Sparse {
         let elements = &self.elements;
         let mut jacobian = Sparse::with_height(elements.count());
@@ -83,7 +83,7 @@ impl Chart {
         for (k, entries) in self.coordinates.iter().enumerate() {
             for &(i, c, x) in entries {
                 match self.bounded[k] {
-                    // written anew, so that zero is exact and rounding cannot go below zero
+                    // computed from the value, not added to the entry, so that zero is exact
                     Some(value) => root[(i, c)] = (value + step[k]).max(0.0) * x,
                     None => root[(i, c)] += step[k] * x,
                 }
@@ -93,7 +93,8 @@ impl Chart {
     }
 }
 
-/// Adds lower-triangular coordinates in a pivoted order, after rotating F (which leaves FF' unchanged) into that shape.
+/// Rotates F (FF' stays unchanged) until each block is lower triangular in a pivoted order, and adds a coordinate for
+/// each entry of the triangles.
 fn factor_chart(blocks: &[Vec<usize>], root: &DMatrix<f64>, states: &Range<usize>, chart: &mut Chart) {
     let (start, p) = (states.start, states.len());
     chart.root.view_mut((start, start), (p, p)).fill(0.0);
@@ -113,7 +114,7 @@ fn factor_chart(blocks: &[Vec<usize>], root: &DMatrix<f64>, states: &Range<usize
     }
 }
 
-/// Rows in the order of a Cholesky decomposition with pivoting: largest remaining norm first.
+/// Indices of the rows in the order of a Cholesky decomposition with pivoting: largest remaining norm first.
 fn pivot_order(rows: &DMatrix<f64>) -> Vec<usize> {
     let mut left = rows.clone();
     let mut order: Vec<usize> = Vec::new();
@@ -135,7 +136,7 @@ fn pivot_order(rows: &DMatrix<f64>) -> Vec<usize> {
     order
 }
 
-/// ψ_i of row i of DR^½, with its sign: a standard deviation that rounding made negative counts as zero.
+/// ψ_i, the factor between row i of R^½ and row i of F = DR^½; zero where rounding made the factor negative.
 fn std_dev(root: &DMatrix<f64>, correlation: &DMatrix<f64>, i: usize) -> f64 {
     let unit = correlation.row(i).norm_squared();
     if unit > 0.0 { (root.row(i).dot(&correlation.row(i)) / unit).max(0.0) } else { 0.0 }

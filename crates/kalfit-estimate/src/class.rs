@@ -2,8 +2,8 @@
 
 use crate::chained::ChainStore;
 
-/// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖². Where they measure Cη = g_j exactly,
-/// C has q rows of length one, and all of R and d is followed by C and g.
+/// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖². Where the tests measure Cη =
+/// g_j exactly, C has q rows of length one, C follows R in `factor`, and g follows d.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassRef<'a> {
     /// n, the number of tests.
@@ -14,18 +14,18 @@ pub struct ClassRef<'a> {
     pub factor: &'a [f64],
     /// Mean of d_j, followed by the mean of g_j.
     pub(crate) mean: &'a [f64],
-    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; at most as many as
-    /// each is long, and none for a single test.
+    /// Vectors v, one after the other, with Σ vv' = Σ_j (d_j - mean)(d_j - mean)'; at most as many vectors as `mean`
+    /// has elements, none for a single test.
     pub(crate) scatter: &'a [f64],
     /// Scaled covariates of the regressions.
     pub(crate) covariates: &'a [f64],
     /// Whether some test of the class needs square-root arithmetic.
     pub(crate) square_root: bool,
-    /// The class phase by phase, where it is stored so; R, d and their scatter are then empty.
+    /// The class phase by phase, if stored in that form; `factor`, `mean` and `scatter` are then empty.
     pub chain: Option<&'a ChainStore>,
 }
 
-/// A class that owns its numbers, also used as a buffer for one class after another.
+/// An owned class, also used as a buffer for one class after another.
 #[derive(Debug, Clone, Default)]
 pub struct Class {
     pub(crate) count: f64,
@@ -70,7 +70,7 @@ impl Class {
 }
 
 impl ClassRef<'_> {
-    /// For each element i, writes Σ (y - Jμ)_i² - J_ii, summed over the tests, and J_ii of one test.
+    /// Writes, for each element i, (Σ over the tests of (y - Jμ)_i² - J_ii, J_ii of one test) into `found`.
     pub(super) fn excess(&self, mean: &[f64], found: &mut Vec<(f64, f64)>) {
         let p = mean.len();
         let rows = || self.factor.chunks_exact(p.max(1));
@@ -84,7 +84,7 @@ impl ClassRef<'_> {
             }
         }
         for (i, (moment, own)) in found.iter_mut().enumerate() {
-            let at = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // R'x at i
+            let at = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // (R'x)_i
             let spread: f64 = self.scatter.chunks_exact(self.mean.len().max(1)).map(|x| at(x).powi(2)).sum();
             *moment = self.count * (moment.powi(2) - *own) + spread;
         }

@@ -1,9 +1,9 @@
 //! The reductions in the estimator's form: scaled, centred, and with tests that share one R gathered into one class.
 //!
-//! Inside this module ξ = m + D η with a centre m near the population mean and a diagonal D that gives the average
-//! test unit information on each state, so that nothing here depends on the user's units. For a class of n tests
-//! with one R, only the mean of their d and its scatter matter: a class costs as much as one test. Tests in phases may be kept
-//! phase by phase ([`ChainedClass`](crate::ChainedClass)).
+//! Inside this module ξ = m + D η with a centre m near the population mean and a diagonal D that gives the average test
+//! unit information on each state, so that nothing here depends on the user's units. For a class of n tests with one R,
+//! only the mean and the scatter of d matter: a class costs as much as one test. Tests in phases may be kept phase by
+//! phase ([`ChainedClass`](crate::ChainedClass)).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -34,10 +34,10 @@ use kalfit_model::remote::Remote;
 /// All reductions of an ensemble, ready for passes.
 #[derive(Debug, Clone)]
 pub struct Classes {
-    /// Index of each class in its storage, in an order that does not depend on the order of the tests.
+    /// Where each class is stored. The order of the classes does not depend on the order of the tests.
     places: Arc<Vec<ClassIndex>>,
-    /// Scale of all noise relative to the reductions that were gathered. The stored numbers are those at this noise,
-    /// except the constants of individual classes in blocks.
+    /// Scale of all noise relative to the reductions that were gathered. All stored numbers hold at the scaled noise,
+    /// except the constants of single classes in `blocks` and `shared`.
     noise: Option<NoiseScale>,
     /// Classes of a single test each that are evaluated in lanes.
     pub(crate) blocks: ClassBatches,
@@ -45,7 +45,7 @@ pub struct Classes {
     pub(crate) shared: ClassBatches,
     /// All other classes.
     pub listed: Listed,
-    /// Numbers of the `listed` classes that are evaluated one by one.
+    /// Positions in `listed` of the classes that are evaluated one by one.
     pub(crate) unbatched: Vec<usize>,
     /// The `listed` classes in phases that are evaluated in lanes.
     pub(crate) chains: Vec<Arc<Packed>>,
@@ -61,12 +61,12 @@ pub struct Classes {
     pub present: Vec<f64>,
     /// Whether tests are stored phase by phase where possible.
     chained: bool,
-    /// The tests of each class; `None` where these classes are a subset of others.
+    /// The tests of each class; `None` for remote tests and for a subset of the classes of an ensemble.
     members: Option<Arc<Members>>,
-    /// Stamp of the reductions that the classes were made from, if there are such.
+    /// Stamp of the reductions that the classes were made from; `None` where the classes belong to no reductions.
     stamp: Option<u64>,
-    /// The groups of the outermost level with all that belongs to them, where tests are in groups; empty for remote
-    /// tests.
+    /// The units, groups of the outermost level with the groups and tests inside, if tests are in groups; no unit if
+    /// the tests are remote.
     pub units: Option<Arc<Units>>,
     /// The connection to remote tests, which have no classes here.
     pub remote: Option<Remote>,
@@ -82,9 +82,9 @@ struct ClassIndex {
 /// The storage of a class.
 #[derive(Debug, Clone, Copy)]
 enum ClassKind {
-    /// In blocks of classes of one test each.
+    /// One test, stored in `blocks`.
     Single,
-    /// In blocks of classes of several tests each.
+    /// Several tests, stored in `shared`.
     Several,
     Listed,
 }
@@ -96,8 +96,8 @@ type ClassFill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
 const CLASSES_PER_TASK: usize = 64;
 
 impl Classes {
-    /// Gathers reductions with `regressors` covariates each; `ranges` holds the states of each phase. `chained`: tests
-    /// are stored phase by phase where their reductions are.
+    /// Gathers reductions with `regressors` covariates each; `ranges` holds the states of each phase. With `chained`, a
+    /// test is stored phase by phase if the reduction of the test is.
     pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
         let elements = Elements::new(ranges);
         let chained = chained && !elements.is_single();
@@ -114,8 +114,9 @@ impl Classes {
         like.regathered(reductions, like.chained)
     }
 
-    /// The classes with the groups of their tests. The reductions must be in the states of the test and of each of its
-    /// groups, and every test must be in a group. The centre becomes that of the sum of these states.
+    /// The classes with the groups of the tests. The reductions must be in the states of the test and of each group of
+    /// the test, and every test must be in a group. The centre moves to the states of the test, as the sum over the
+    /// levels; other states are centred at zero.
     pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
         let centre = self.frame.centred(grouping.depth() + 1);
         if centre != self.frame {
@@ -142,7 +143,7 @@ impl Classes {
         }
     }
 
-    /// The classes of other reductions, or stored in another way, in the same coordinates.
+    /// The classes of `reductions` in the coordinates of these classes, stored phase by phase if `chained`.
     fn regathered(&self, reductions: &Reductions, chained: bool) -> Classes {
         if let Some(remote) = reductions.remote() {
             return Classes { remote: Some(remote.clone()), ..self.clone() }; // the pooled sums suffice for starts
@@ -162,7 +163,8 @@ impl Classes {
         Classes::gathered(reductions, members, (frame.clone(), &pooled), (elements, chained))
     }
 
-    /// The classes of remote tests from their survey: (number of tests, number that have each phase, pooled sums).
+    /// The classes of remote tests from their survey: (number of tests, for each phase the number of tests that have
+    /// the phase, pooled sums).
     pub(super) fn of_survey(
         remote: &Remote,
         (tests, present, pooled): (usize, Vec<f64>, &Pooled),
@@ -213,7 +215,7 @@ impl Classes {
         Classes { members: Some(Arc::new(members)), ..classes }
     }
 
-    /// Stores the classes by their kinds; `fill` writes a class into a buffer.
+    /// Stores each class by kind; `fill` writes a class into a buffer.
     fn arranged(
         (kinds, fill): (Vec<ClassKind>, ClassFill<'_>),
         chains: Vec<Arc<Packed>>,
@@ -266,7 +268,7 @@ impl Classes {
         self.places.is_empty()
     }
 
-    /// The class with a number, which is read into `buffer` where it is in blocks.
+    /// Class `number`; a class in blocks is first read into `buffer`.
     pub(crate) fn get<'a>(&'a self, number: usize, buffer: &'a mut Class) -> ClassRef<'a> {
         if let ClassIndex { kind: ClassKind::Listed, at } = self.places[number] {
             return self.listed.get(at as usize);
@@ -286,30 +288,32 @@ impl Classes {
         class.constant += self.noise.as_ref().map_or(0.0, |noise| noise.change(number));
     }
 
-    /// These classes if they were made from the reductions, else the classes of the reductions in the same coordinates.
+    /// These classes if made from `reductions`, else the classes of `reductions` in the coordinates of these classes.
     pub fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
         let own = self.stamp.is_some_and(|stamp| stamp == reductions.stamp());
         if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
     }
 
-    /// These classes as the classes of reductions of the same tests, in the same order and at the noise of the classes.
+    /// These classes as the classes of `reductions`, which must hold the same tests in the same order, at the noise of
+    /// these classes; `None` if the number of tests differs or tests are in groups.
     pub(super) fn with_reductions(&self, reductions: &Reductions) -> Option<Classes> {
         let members = self.members.as_ref().filter(|members| members.tests().len() == reductions.len());
         let known = members.is_some() && self.units.is_none();
         known.then(|| Classes { stamp: Some(reductions.stamp()), ..self.clone() })
     }
 
-    /// Numbers of the tests of a class, sorted by id, in the reductions that the classes were made from.
+    /// Indices of the tests of a class, sorted by id, in the reductions that the classes were made from.
     pub fn tests_of(&self, class: usize) -> &[usize] {
         self.members.as_ref().expect("they are of reductions").class(class)
     }
 
-    /// Whether every test of the reductions that the classes were made from has a class to itself.
+    /// Whether every test of the reductions that the classes were made from is the only test of a class.
     pub fn has_class_per_test(&self) -> bool {
         self.stamp.is_some() && self.len() == self.tests
     }
 
-    /// Classes of one test each, in the same η. The pooled information is scaled by the share of the tests.
+    /// Classes of one test each for `tests`, in the coordinates of these classes. The pooled information is that of
+    /// these classes times the share of the tests.
     pub fn each(&self, reductions: &Reductions, tests: &[usize]) -> Classes {
         let share = tests.len() as f64 / reductions.len() as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
@@ -318,7 +322,7 @@ impl Classes {
     }
 
     /// The classes with all noise variances multiplied by λ, from the residual of each class, in coordinates that are
-    /// √λ times as large. They belong to no reductions, and their tests must be in one phase.
+    /// √λ times as large. The result belongs to no reductions. The tests must be in one phase.
     pub(crate) fn with_noise(&self, variance: f64, residuals: &Arc<Vec<Residual>>) -> Classes {
         debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
         let noise = NoiseScale { variance, residuals: residuals.clone() };
@@ -355,7 +359,8 @@ impl Classes {
         }
     }
 
-    /// Every `every`-th class in order, in the same η. The pooled information is scaled by the share of the tests.
+    /// Every k-th class, or every k-th unit where tests are in groups, k = `every`, in the coordinates of these
+    /// classes. The pooled information is that of these classes times the share of the tests.
     pub(crate) fn thinned(&self, every: usize) -> Classes {
         if let Some(units) = &self.units {
             let units = units.thinned(every);
@@ -386,7 +391,7 @@ impl Classes {
         Classes::arranged((kinds, &fill), chains, (&self.frame, &self.elements, self.chained), found)
     }
 
-    /// Packs the chains of some classes into lanes, where they have a common shape.
+    /// Packs the chains of some classes into lanes, chains of one shape together.
     fn packed_subset(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
         let lanes = Isa::best().lanes();
         let mut buffer = Class::default();
@@ -398,7 +403,7 @@ impl Classes {
         groups.into_par_iter().map(pack).collect()
     }
 
-    /// The classes of the reductions stored phase by phase, even where these classes are not.
+    /// The classes of `reductions`, stored phase by phase, in the coordinates of these classes.
     pub fn by_phase(&self, reductions: &Reductions) -> Cow<'_, Classes> {
         if self.chained {
             return self.of(reductions);
@@ -406,7 +411,7 @@ impl Classes {
         Cow::Owned(self.regathered(reductions, true))
     }
 
-    /// A class of one test, in the same η.
+    /// The class that holds one test alone, in the coordinates of these classes.
     pub fn single(&self, reductions: &Reductions, test: usize) -> Class {
         let mut class = Class::default();
         if self.chained && reductions.chain(test).is_some() {
@@ -423,8 +428,8 @@ impl Classes {
         !self.is_chained() && (0..self.listed.len()).any(|number| self.listed.get(number).mean.len() > p)
     }
 
-    /// A class whose exact rows have a singular covariance at a point, if there is one: in η, the standard deviation of
-    /// one row given the rows before is nearly zero.
+    /// Index of a class with CΣC' singular at a point, if there is one: in η, the standard deviation of one row of Cη
+    /// given the rows before is nearly zero.
     pub(super) fn singular_exact_class(&self, point: &Point) -> Option<usize> {
         const ZERO_STD_DEV: f64 = 1e-8;
         let (p, mut buffer) = (self.dimension(), Class::default());
@@ -445,7 +450,7 @@ impl Classes {
     }
 }
 
-/// The classes with these numbers, as a list.
+/// The classes of these indices, as a list.
 fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
     let some = |numbers: &[usize]| {
         let (mut listed, mut buffer) = (Listed::default(), Class::default());
@@ -461,8 +466,8 @@ fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
     all
 }
 
-/// Number of tests that have each phase. All have the first one; tests that are not stored phase by phase have the
-/// phases whose states they inform.
+/// For each phase, the number of tests that have the phase. Every test has the first phase; a test that is not stored
+/// phase by phase has the later phases of which some state is informed.
 pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
     let has = |j: usize, f: usize, range: &Range<usize>| match reductions.chain(j) {
         Some(chain) => f < chain.phases.len(),
@@ -475,7 +480,7 @@ pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> 
     elements.blocks().iter().enumerate().map(count).collect()
 }
 
-/// Packs classes of tests in phases into lanes where possible, by their numbers.
+/// Packs classes of tests in phases into lanes, classes of one shape together.
 fn for_lanes(reductions: &Reductions, members: &Members, (frame, elements): (&Frame, &Elements)) -> Vec<Arc<Packed>> {
     let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
     let chains_of =
@@ -487,7 +492,7 @@ fn for_lanes(reductions: &Reductions, members: &Members, (frame, elements): (&Fr
     groups.into_par_iter().map(pack).collect()
 }
 
-/// The lane of each class in phases, by its number; empty where no classes are packed.
+/// For each class, the lane, or `None` if the class is not packed; empty where no class is packed.
 fn lanes_of_classes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<ChainStore>> {
     if chains.is_empty() {
         return Vec::new();

@@ -1,5 +1,4 @@
-//! Newton's method from a given iterate, for objectives near one that is solved already: no start is needed, and few
-//! steps are.
+//! Newton's method from a given iterate, for an objective with a maximum near that iterate: few steps are needed.
 
 use crate::certificate::{Escape, certificate};
 use crate::covariance::CovarianceMap;
@@ -8,7 +7,7 @@ use crate::newton::{Attempt, Damping, NewtonIterate, moved};
 use crate::point::Point;
 use crate::settings::Stop;
 
-/// Smallest fraction of the gain promised by the slopes along flat directions at which a step along them is accepted.
+/// A step along flat directions is accepted if ℓ gains at least this fraction of what the slopes promise.
 const MIN_FLAT_GAIN_RATIO: f64 = 0.05;
 
 /// The limits of a climb.
@@ -20,7 +19,8 @@ pub struct ClimbLimits {
     pub steps: usize,
 }
 
-/// Takes Newton steps until the certificate holds, leaving the boundary where it must.
+/// Takes Newton steps until the certificate holds, with steps off the boundary where the certificate fails on the null
+/// space of Σ.
 pub fn climb(
     objective: &dyn Objective,
     map: &CovarianceMap,
@@ -68,7 +68,8 @@ pub(crate) fn step_off_boundary(
     None
 }
 
-/// A better iterate along the flat directions that ordinary steps leave out, where ℓ rises as their slopes promise.
+/// A better iterate along flat directions, which ordinary steps leave out; `None` where ℓ gains too little of what the
+/// slopes promise.
 pub(crate) fn step_along_flat(
     objective: &dyn Objective,
     map: &CovarianceMap,

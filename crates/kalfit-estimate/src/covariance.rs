@@ -1,9 +1,9 @@
 //! The structure of Σ in η: Σ = FF' with F linear in the solver's coordinates ψ, and linear constraints on Σ.
 //!
-//! Every structure of the model file has this form. Within a block Σ_b = L_b L_b' with L_b lower triangular in a pivoted
-//! order, so that a singular Σ shows as trailing columns that are zero; Σ = βΣ* is F = ψ root(Σ*); Σ = DRD is F = D root(R).
-//! Fixed and equal elements that no such form gives are constraints Σ_ab coefficient σ_ab = value. Each phase has its own form;
-//! between phases Σ is zero.
+//! Every structure of the model file has this form. Within a block Σ_b = L_b L_b' with L_b lower triangular in a
+//! pivoted order, so that a singular Σ shows as trailing columns that are zero; Σ = βΣ* is F = ψ root(Σ*); Σ = DRD is F
+//! = D root(R). Fixed and equal elements that no such form gives are constraints Σ_ab coefficient σ_ab = value. Each
+//! phase has a separate form; between phases Σ is zero.
 
 use std::ops::Range;
 
@@ -16,7 +16,8 @@ use kalfit_algebra::symmetric;
 use kalfit_algebra::symmetric::pairs;
 use kalfit_model::StructureError;
 
-/// How the Σ of a phase is built from coordinates. Matrices are those of the phase, states are counted over all phases.
+/// How the Σ of a phase is built from coordinates ψ. Matrices have the size of the phase; states are numbered over all
+/// phases.
 #[derive(Debug, Clone)]
 pub enum CoordinateForm {
     /// Blocks Σ_b = L_b L_b'.
@@ -38,11 +39,11 @@ pub struct PhaseForm {
     pub form: CoordinateForm,
     /// Whether the phase has a linear covariance structure.
     pub linear: bool,
-    /// Start value from the model.
+    /// Start value of Σ from the model, in η, if given.
     pub start: Option<DMatrix<f64>>,
 }
 
-/// Σ coefficient × σ_pair = value.
+/// A linear constraint: Σ coefficient × σ_ij = value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Constraint {
     /// (i, j, coefficient) of each element σ_ij in the sum.
@@ -61,7 +62,8 @@ pub struct CovarianceMap {
     pub constraints: Vec<Constraint>,
     /// States whose variance is not held at zero.
     pub random: Vec<usize>,
-    /// The state whose mean each regression coefficient acts on: its variance sets the coefficient's natural size.
+    /// For each regression coefficient, the state whose mean the coefficient acts on: the variance of that state sets
+    /// the natural size of the coefficient.
     pub(crate) regressors: Vec<usize>,
     /// The elements of Σ.
     pub elements: Elements,
@@ -93,7 +95,7 @@ impl CovarianceMap {
         self.constraints.extend(phase.constraints.iter().map(|c| c.moved(start as isize)));
     }
 
-    /// The structure of one phase by itself.
+    /// The structure of one phase, with states numbered from zero.
     pub fn of_part(&self, part: &PhaseForm) -> CovarianceMap {
         let states = &part.states;
         let back = -(states.start as isize);
@@ -116,12 +118,12 @@ impl CovarianceMap {
         })
     }
 
-    /// The form of the Σ that a state belongs to.
+    /// The form of the Σ of the phase that a state belongs to.
     pub fn form_of(&self, state: usize) -> &CoordinateForm {
         &self.parts[self.elements.block_of(state)].form
     }
 
-    /// A matrix with these blocks, one for each phase.
+    /// The p × p matrix with these diagonal blocks, one for each phase, and zeros elsewhere.
     pub(crate) fn assembled(&self, parts: impl IntoIterator<Item = DMatrix<f64>>) -> DMatrix<f64> {
         let mut whole = DMatrix::zeros(self.p, self.p);
         for (part, own) in self.parts.iter().zip(parts) {
@@ -145,13 +147,14 @@ impl CovarianceMap {
         DMatrix::from_fn(self.p, self.p, |i, j| if self.is_structural_zero(i, j) { 0.0 } else { sigma[(i, j)] })
     }
 
-    /// Values of the constraints' left sides minus their right sides.
+    /// Σ coefficient × σ_ij - value for each constraint.
     pub fn residual(&self, sigma: &DMatrix<f64>) -> DVector<f64> {
         let left = |c: &Constraint| c.terms.iter().map(|&(i, j, x)| x * sigma[(i, j)]).sum::<f64>();
         DVector::from_iterator(self.constraints.len(), self.constraints.iter().map(|c| left(c) - c.value))
     }
 
-    /// The largest residual relative to the elements of its constraint: a large variance elsewhere must not hide it.
+    /// The largest |residual| / (1 + |value| + Σ |coefficient| √(σ_ii σ_jj)) of a constraint: a large variance outside
+    /// a constraint must not hide the residual of that constraint.
     pub fn relative_residual(&self, sigma: &DMatrix<f64>, residual: &DVector<f64>) -> f64 {
         let size = |c: &Constraint| {
             let spread = |i: usize, j: usize| (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
@@ -161,7 +164,7 @@ impl CovarianceMap {
         relative.fold(0.0, f64::max)
     }
 
-    /// Number of free covariance quantities, as declared.
+    /// Number of free covariance quantities of the declared structure: coordinates less constraints.
     pub(crate) fn declared(&self) -> usize {
         let of_form = |part: &PhaseForm| match &part.form {
             CoordinateForm::Factor(blocks) => blocks.iter().map(|b| pairs(b.len())).sum(),
@@ -203,7 +206,7 @@ impl CovarianceMap {
 }
 
 impl PhaseForm {
-    /// The phase's block of a matrix.
+    /// The diagonal block of the phase in a p × p matrix.
     pub fn of(&self, matrix: &DMatrix<f64>) -> DMatrix<f64> {
         let (start, n) = (self.states.start, self.states.len());
         matrix.view((start, start), (n, n)).clone_owned()
@@ -216,7 +219,7 @@ impl PhaseForm {
         whole
     }
 
-    /// The form with its state numbers shifted.
+    /// The form with `by` added to every state index.
     fn moved(&self, by: isize) -> PhaseForm {
         let at = |i: usize| i.strict_add_signed(by);
         let form = match &self.form {
@@ -239,12 +242,12 @@ impl Constraint {
     }
 }
 
-/// The rows and columns of a block.
+/// The rows and columns of `matrix` that `block` lists.
 pub(crate) fn sub(matrix: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(block.len(), block.len(), |i, j| matrix[(block[i], block[j])])
 }
 
-/// Writes a block's matrix into its rows and columns.
+/// Writes `own` into the rows and columns that `block` lists.
 pub(crate) fn place(into: &mut DMatrix<f64>, block: &[usize], own: &DMatrix<f64>) {
     for i in 0..block.len() {
         for j in 0..block.len() {

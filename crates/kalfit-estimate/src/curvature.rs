@@ -8,8 +8,8 @@ use crate::local::Tangent;
 use kalfit_algebra::regular::Regular;
 use kalfit_algebra::symmetric;
 
-/// A positive definite model of -Hessian: scaled to unit diagonal, eigenvalues by absolute value, without flat
-/// directions.
+/// A positive definite model of -Hessian: the information scaled to unit diagonal, with eigenvalues by absolute value
+/// and flat directions omitted.
 #[derive(Debug, Clone)]
 pub(crate) struct Curvature {
     scale: DVector<f64>,
@@ -17,11 +17,12 @@ pub(crate) struct Curvature {
     gradient: DVector<f64>,
     /// The undamped step, where no eigenvalue is negative or flat.
     undamped: Option<UndampedStep>,
-    /// The eigenvalues: computed at once where there is no undamped step, else when first needed.
+    /// Eigenvalues and eigenvectors of the model: computed at once where there is no undamped step, else when first
+    /// needed.
     spectrum: OnceLock<Spectrum>,
 }
 
-/// The step without damping, from the root of the model, with the gain it promises and the decrement.
+/// The step without damping from a root of the model, the gain in ℓ that the step promises, and the decrement.
 #[derive(Debug, Clone)]
 struct UndampedStep {
     step: DVector<f64>,
@@ -29,7 +30,7 @@ struct UndampedStep {
     decrement: f64,
 }
 
-/// Eigenvalues in ascending order, with their eigenvectors.
+/// Eigenvalues of the model in ascending order, and the eigenvectors as columns.
 #[derive(Debug, Clone)]
 struct Spectrum {
     values: Vec<f64>,
@@ -46,11 +47,11 @@ const MIN_SHORTENING: f64 = 0.25;
 /// A step that fails is tried again at no more than this fraction of its length.
 const MAX_SHORTENING: f64 = 0.5;
 
-/// Information on a coordinate, at its natural size, below this fraction of the largest is rounding.
+/// Information on a coordinate, in units of natural sizes, below this fraction of the largest is rounding error.
 pub const NEGLIGIBLE_INFORMATION: f64 = 1e-14;
-/// Directions with scaled eigenvalues up to this are flat: the data do not inform them.
+/// Directions with scaled eigenvalues up to this are flat: the data do not inform such directions.
 const FLAT_EIGENVALUE: f64 = 1e-10;
-/// Scaled eigenvalues below this are rounding: steps along flat directions divide by this instead.
+/// Scaled eigenvalues below this are rounding errors: steps along flat directions then divide by this constant.
 const ROUNDING_EIGENVALUE: f64 = 1e-15;
 /// No step is taken along flat directions whose slopes promise a gain in ℓ of at most this.
 const MIN_FLAT_GAIN: f64 = 1e-6;
@@ -90,7 +91,7 @@ impl Curvature {
         DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j])
     }
 
-    /// The eigenvalues, computed on first use. `information` is the one along the tangent basis.
+    /// The eigenvalues, computed on first use. `information`: the information along the tangent basis, n × n.
     fn spectrum(&self, information: DMatrixView<'_, f64>) -> &Spectrum {
         self.spectrum.get_or_init(|| {
             let scaled = self.scaled(information);
@@ -112,16 +113,17 @@ impl Curvature {
         self.undamped.as_ref().map_or_else(|| self.spectrum_without_root().decrement(), |undamped| undamped.decrement)
     }
 
-    /// The step along flat directions by their slopes, in the tangent basis, and the gain it promises; `None` where
-    /// that is little. The gain must be checked on ℓ itself: where two quantities are almost confounded, as a state and
-    /// another times 10⁷ ± 1, ℓ determines more than its curvature can show.
+    /// (step along flat directions, in the tangent basis; gain in ℓ that the slopes promise); `None` where that gain is
+    /// negligible. The gain must be checked on ℓ: where two quantities are almost confounded, as a state and another
+    /// times 10⁷ ± 1, ℓ determines more than its curvature can show.
     pub(crate) fn along_flat(&self) -> Option<(DVector<f64>, f64)> {
         let spectrum = self.spectrum.get().filter(|_| self.undamped.is_none())?;
         let (step, gain) = spectrum.along_flat();
         (gain > MIN_FLAT_GAIN).then(|| (step.component_mul(&self.scale), gain))
     }
 
-    /// Damping where the value is not concave: the model holds over less distance there.
+    /// Least damping of a step: above zero only where ℓ is clearly not concave and the optimum is far away, as the
+    /// model then holds over a short distance only.
     pub(crate) fn nonconcave_damping(&self) -> f64 {
         if self.undamped.is_some() {
             return 0.0;
@@ -130,9 +132,9 @@ impl Curvature {
         if least < -1e-3 && self.decrement() > MAX_TRUSTED_DECREMENT { 0.6 * -least } else { 0.0 }
     }
 
-    /// The damping for the next try after a step with `damping` gained only `gain`: a parabola through both values,
-    /// with the slope at the first, gives the new length, between a quarter and a half of the old one. `information` is
-    /// the one along the tangent basis.
+    /// The damping for the next try after a step with `damping` gained only `gain`: a parabola through the values of ℓ
+    /// at both ends of the step, with the slope at the start, gives the new length, between a quarter and a half of the
+    /// old length. `information`: the information along the tangent basis, n × n.
     pub(crate) fn damping_after_failure(&self, information: &DMatrix<f64>, damping: f64, gain: f64) -> f64 {
         let spectrum = self.spectrum(information.as_view());
         let length = |d: f64| spectrum.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
@@ -151,8 +153,8 @@ impl Curvature {
         high
     }
 
-    /// Step along the tangent basis with the given damping, and the gain it promises. `information` is the one along
-    /// the tangent basis.
+    /// (step along the tangent basis with the given damping, gain in ℓ that the step promises). `information`: the
+    /// information along the tangent basis, n × n.
     pub(crate) fn step(&self, information: &DMatrix<f64>, damping: f64) -> (DVector<f64>, f64) {
         let (step, gain) = match &self.undamped {
             Some(undamped) if damping == 0.0 => (undamped.step.clone(), undamped.gain),
@@ -170,7 +172,7 @@ impl UndampedStep {
 }
 
 impl Spectrum {
-    /// (number, |eigenvalue|, gradient) of each direction that is not flat.
+    /// (index, |eigenvalue|, slope along the eigenvector) of each direction that is not flat.
     fn terms(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let kept = |&(_, h, _): &(usize, f64, f64)| h > FLAT_EIGENVALUE;
         self.values.iter().enumerate().map(|(k, v)| (k, v.abs(), self.gradient[k])).filter(kept)
@@ -180,7 +182,7 @@ impl Spectrum {
         self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // an empty sum would be -0
     }
 
-    /// The step along flat directions, and the gain it promises.
+    /// (step along flat directions, gain in ℓ that the step promises).
     fn along_flat(&self) -> (DVector<f64>, f64) {
         let mut along = DVector::zeros(self.values.len());
         let mut gain = 0.0;

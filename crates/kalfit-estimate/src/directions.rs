@@ -7,12 +7,14 @@ use kalfit_algebra::sparse::Sparse;
 use kalfit_algebra::symmetric;
 
 impl CovarianceMap {
-    /// Directions in which Σ may move, elements × directions: the free elements where Σ is linear in them, else along ψ.
+    /// Directions in which Σ may move, elements × directions: each free element in phases with blocks, dσ/dψ in other
+    /// phases, restricted to the null space of the constraints.
     pub fn free_directions(&self, chart: &Chart) -> Sparse {
         self.directions(chart, false)
     }
 
-    /// As `free_directions`, but along β where Σ = βΣ*: dΣ/dψ vanishes at Σ = 0, and yet β > 0 is a direction.
+    /// The directions of `free_directions`, but with Σ* in place of dΣ/dψ where Σ = βΣ*: dΣ/dψ vanishes at Σ = 0,
+    /// although β may grow from zero.
     pub fn cone_directions(&self, chart: &Chart) -> Sparse {
         self.directions(chart, true)
     }

@@ -15,11 +15,11 @@ use crate::terms::ClassTerms;
 /// Number of classes that one thread evaluates at a time.
 const CLASSES_PER_TASK: usize = 256;
 
-/// Access to classes by their numbers.
+/// Function from the index of a class to the class.
 type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
 
-/// Evaluates every class at a point and folds its terms, by `of`, into parts that begin as `start()`. The division into
-/// parts does not depend on the number of threads.
+/// Evaluates every class at a point and folds the terms of each class, by `of`, into parts that begin as `start()`. The
+/// division into parts does not depend on the number of threads.
 pub fn map_classes<T: Send>(
     classes: &Classes,
     regressors: &Regressors,
@@ -45,15 +45,15 @@ pub fn map_classes<T: Send>(
     parts.into_iter().map(|(folded, _)| folded).collect()
 }
 
-/// Folds unpacked classes by `one`, with their numbers, and packed ones by `several`, into parts that begin as
-/// `start()`. The division into parts does not depend on the number of threads.
+/// Folds each unpacked class, with the index of the class, and each pack of classes into parts that begin as `start()`.
+/// The division into parts does not depend on the number of threads.
 pub(super) fn map_classes_and_packed<T: Send>(
     classes: &Classes,
     start: &(dyn Fn() -> T + Sync),
     one: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
     several: &(dyn Fn(&mut T, &Packed) + Sync),
 ) -> Vec<T> {
-    // where some classes are packed, all are listed in order
+    // where some classes are packed, `listed` holds all classes in order
     let packed = !classes.chains.is_empty();
     let alone = if packed { classes.unbatched.clone() } else { (0..classes.len()).collect() };
     let one_by_one = |numbers: &[usize]| {

@@ -1,7 +1,7 @@
 //! The paper's DL algorithm: EM on the reductions, (8)-(11), with the constrained M-steps of theory §4.
 //!
-//! E-step: the posterior of every test, x̂_j = μ + Σ r_j and V_j = Σ - Σ W_j Σ. M-step: μ ← mean x̂_j, then
-//! Σ ← mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ, both under their constraints. ℓ cannot fall.
+//! E-step: the posterior of every test, x̂_j = μ + Σ r_j and V_j = Σ - Σ W_j Σ. M-step: μ ← mean x̂_j, then Σ ← mean
+//! (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ, both under the constraints of the structure. ℓ cannot fall.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -22,7 +22,7 @@ pub(crate) enum ConditionalStep {
     Covariance,
 }
 
-/// The sums that EM needs from a pass: with the information on the mean between phases only where the mean may need
+/// The order of the pass that EM needs: first derivatives, and the information on the mean where the mean may need
 /// least squares.
 pub(crate) fn order(problem: &Problem) -> Order {
     let (p, mean) = (problem.classes.dimension(), &problem.mean);
@@ -32,8 +32,8 @@ pub(crate) fn order(problem: &Problem) -> Order {
 
 /// One EM step from the sums at a point. Where μ has no closed form together with Σ (a singular Σ with a constrained
 /// mean, or a regression), μ and Σ alternate: generalised least squares for μ, EM for Σ (ECM). They also alternate
-/// under the restricted likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the
-/// second moment.
+/// under the restricted likelihood, where the mean is missing data too, with a flat prior: the uncertainty of the mean
+/// adds to the second moment.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut ConditionalStep) -> Point {
     let tests = counts(problem);
     let sigma = point.covariance();
@@ -65,14 +65,15 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Con
     Point { mean: next_mean.as_slice().to_vec(), coefficients: point.coefficients.clone(), root }
 }
 
-/// Number of tests that have the phase of each element: an M-step averages over those tests.
+/// For each element of ξ, the number of tests that have the phase of that element: an M-step averages over that many
+/// tests.
 fn counts(problem: &Problem) -> DVector<f64> {
     let (classes, p) = (&problem.classes, problem.classes.dimension());
     DVector::from_fn(p, |i, _| classes.present[classes.elements.block_of(i)].max(1.0))
 }
 
-/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + δ, (9): as x̂_j = old μ + Σr_j and V_j = Σ - ΣW_jΣ, that is
-/// Σ - Σ (∑_j (W_j - r_j r_j')) Σ / n - sδ' - δs' + δδ', where ∑ adds over tests and s = mean (x̂_j - old μ).
+/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + δ, (9). As x̂_j = old μ + Σr_j and V_j = Σ - ΣW_jΣ,
+/// M̄ = Σ - Σ (∑_j (W_j - r_j r_j')) Σ / n - sδ' - δs' + δδ', where ∑_j adds over tests and s = mean (x̂_j - old μ).
 fn second_moment(
     sigma: &DMatrix<f64>,
     sums: &Sums,
@@ -87,7 +88,7 @@ fn second_moment(
     spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
 }
 
-/// The Σ of the structure of one phase that maximises -log|Σ| - tr(Σ⁻¹M̄), as a root.
+/// A root of the Σ that maximises -log|Σ| - tr(Σ⁻¹M̄) within the structure of one phase.
 fn maximise(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
     match &map.parts[0].form {
         CoordinateForm::Fixed(_) => root,
@@ -105,8 +106,8 @@ fn maximise(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f
     }
 }
 
-/// (23) where it applies, block by block: every fixed element lies in the rows of a set 2 whose rows are all fixed. Then with
-/// B = Σ12 Σ22⁻¹, Σ11 = [I -B] M̄ [I -B]' + B Σ22 B'.
+/// Σ by (23), block by block; `None` unless every fixed element is in a row that is fixed as a whole. With such rows as
+/// set 2, other rows as set 1 and B = Σ12 Σ22⁻¹, Σ11 = [I -B] M̄ [I -B]' + B Σ22 B'.
 fn regression_form(map: &CovarianceMap, blocks: &[Vec<usize>], second: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let fixed = |i: usize, j: usize| {
         let found = map.constraints.iter().find(|c| c.terms.len() == 1 && same(c.terms[0], i, j));
@@ -151,7 +152,8 @@ fn same(term: (usize, usize, f64), i: usize, j: usize) -> bool {
     (term.0, term.1) == (i, j) || (term.0, term.1) == (j, i)
 }
 
-/// Σ = D R D with R given (35): with u_i = 1/σ_i, minimise the strictly convex -2 Σ log u_i + u'(R⁻¹∘M̄)u by Newton's method.
+/// A root of Σ = DRD with R given, (35): Newton's method minimises the strictly convex -2 Σ log u_i + u'(R⁻¹∘M̄)u over
+/// u_i = 1/σ_i.
 fn correlation_step(root: &DMatrix<f64>, states: &[usize], second: &DMatrix<f64>) -> DMatrix<f64> {
     let own = DMatrix::from_fn(states.len(), root.ncols(), |i, c| root[(states[i], c)]);
     let inverse = symmetric::pseudo_inverse(&(&own * own.transpose()));

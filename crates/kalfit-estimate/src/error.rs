@@ -14,7 +14,7 @@ pub enum FitError {
     /// Two tests have the same id.
     #[error("two tests have the id `{id}`")]
     DuplicateTest {
-        /// The id of both.
+        /// The id that both tests have.
         id: String,
     },
     /// The groups of a test are not known, under a model with levels.
@@ -31,7 +31,7 @@ pub enum FitError {
         /// The id of the test.
         test: String,
     },
-    /// A test is not stored phase by phase, where each phase is to be fitted separately.
+    /// A test is not stored phase by phase, although each phase is to be fitted separately.
     #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
     NoPhases {
         /// The id of the test.
@@ -45,7 +45,7 @@ pub enum FitError {
         "the log-likelihood has no maximum: it grows without bound as the covariance becomes singular along what test `{test}` measures without any noise"
     )]
     Unbounded {
-        /// The id of one of these tests.
+        /// The id of a test that measures without noise.
         test: String,
     },
     /// ℓ is not a finite number at the start.

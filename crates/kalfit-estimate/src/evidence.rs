@@ -11,8 +11,9 @@ use crate::{levels, marginal};
 use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::Reduction;
 
-/// The reductions whose likelihood is maximised: those given; under `Marginal`, each phase less its prediction from the
-/// phase before; for tests in groups, reductions in the states of the test and of each of its groups.
+/// The reductions whose likelihood is maximised: the given reductions; under `Marginal`, the difference between each
+/// phase and the prediction from the phase before; for tests in groups, reductions in the states of the test and of
+/// each group of the test.
 pub fn evidence<'a>(
     reductions: &'a Reductions,
     structure: &Structure<'_>,

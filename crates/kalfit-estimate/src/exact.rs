@@ -1,4 +1,5 @@
-//! M-steps without a closed form: maximise -½n (log|Σ| + tr(Σ⁻¹M̄)) under constraints, by the same Newton's method.
+//! M-steps without a closed form: the Newton's method of the search maximises -½n (log|Σ| + tr(Σ⁻¹M̄)) under
+//! constraints.
 
 use std::sync::Arc;
 
@@ -54,7 +55,8 @@ impl Objective for ExactTests<'_> {
     }
 }
 
-/// Takes Newton steps from the current root. Every step raises the objective, so an early stop is still a GEM step.
+/// A root of the constrained maximum, by Newton steps from `root`. Every step raises the objective, so an early stop is
+/// still a GEM step.
 pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
     let objective =
         ExactTests { second, n, random: &map.random, elements: &map.elements, jacobian: DMatrix::zeros(0, 0) };

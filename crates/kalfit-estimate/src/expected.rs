@@ -1,5 +1,5 @@
-//! The estimator's state at a given population, with the expected information: what a search would find there on average,
-//! before anything is measured (theory §3).
+//! The state of the estimator at a given population, with the information that is expected before anything is measured
+//! (theory §3).
 
 use std::sync::Arc;
 
@@ -30,9 +30,9 @@ pub enum ExpectedError {
     Off {
         /// The element.
         element: Element,
-        /// Its value in the population, in the user's units.
+        /// Value of the element in the population, in the user's units.
         found: f64,
-        /// Its value by the structure, in the user's units.
+        /// Value of the element by the structure, in the user's units.
         expected: f64,
     },
 }
@@ -77,8 +77,8 @@ pub fn at_population(
     })
 }
 
-/// At the truth the score is zero on average, the information of μ is Σ E'WE, that of Σ is ½ Σ tr(W D W E), and they are
-/// uncorrelated.
+/// Expected derivatives of ℓ at the true (μ, Σ): score zero, information Σ E'WE on μ and ½ Σ tr(W D W E) on Σ, cross
+/// information zero.
 fn local(sums: &Sums) -> Local {
     let (m, p) = (sums.mean_score.len(), sums.weight.nrows());
     Local {
@@ -93,7 +93,7 @@ fn local(sums: &Sums) -> Local {
     }
 }
 
-/// The population as a point in η; an error where it does not agree with the structure.
+/// The population as a point in η; an error where the population does not agree with the structure.
 fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
     let mean = DVector::from_vec(frame.mean_in(&population.mean));
@@ -122,7 +122,7 @@ const ZERO_VARIANCE: f64 = 1e-18;
 fn root(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, (usize, usize, f64)> {
     let root = map.root_of(&map.mask(sigma));
     let on = &root * root.transpose();
-    // in η all states are of about one size: what is far smaller than the largest is a zero with rounding
+    // in η all states are of about one size: a variance far smaller than the largest is zero with rounding errors
     let largest = (0..map.p).fold(0.0, |most: f64, i| most.max(sigma[(i, i)]));
     let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(ZERO_VARIANCE * largest).sqrt();
     let (mut worst, mut most) = (None, STRUCTURE_TOLERANCE);

@@ -76,7 +76,7 @@ fn zero_variances(structure: &CovarianceStructure, p: usize) -> Vec<bool> {
     zero
 }
 
-/// Evaluates a matrix of expressions in parameters, and checks that it is positive semidefinite.
+/// Evaluates a matrix of expressions in parameters, and checks that the matrix is positive semidefinite.
 fn matrix(entries: &[Vec<Expression>], alpha: &Alpha, what: &str) -> Result<DMatrix<f64>, StructureError> {
     let p = entries.len();
     let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
@@ -108,7 +108,7 @@ fn is_fixed_zero(structure: &CovarianceStructure, i: usize, j: usize) -> bool {
     structure.fixed.iter().any(|e| e.value == 0.0 && (e.i, e.j) == (i.max(j), i.min(j)) && i != j)
 }
 
-/// Splits blocks into the connected components that remain without the zero elements.
+/// Splits each block into connected components, states with a non-zero covariance being connected.
 fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
     let mut result = Vec::new();
     for block in blocks {

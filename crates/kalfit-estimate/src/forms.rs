@@ -98,7 +98,7 @@ impl Kernel for Forms<'_> {
     }
 }
 
-/// The kernel of `Forms` for a few directions at a time.
+/// The part of the kernel `Forms` that evaluates N directions at a time.
 struct OfDirections<'a, T> {
     evaluated: &'a ChainTerms<T>,
     ranges: &'a [&'a Range<usize>],

@@ -1,4 +1,4 @@
-//! The coordinates that estimation works in, from all tests together.
+//! The frame, which is the coordinates η of estimation, from sums over all tests.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -13,21 +13,22 @@ pub(crate) use kalfit_model::remote::Coordinates as Frame;
 /// Number of tests that form one partial sum.
 const TESTS_PER_SUM: usize = 1024;
 
-/// What tests say together.
+/// Sums over tests that determine the frame.
 pub(super) struct Pooled {
-    /// Σ R'R, packed.
+    /// Σ R'R, p × p, packed.
     information: Vec<f64>,
     /// Number of tests that inform each state.
     informed: Vec<f64>,
     /// Σ R'd.
     y: Vec<f64>,
-    /// Σ of the squares of each covariate.
+    /// Σ x² over tests for each covariate x.
     squares: Vec<f64>,
     tests: f64,
 }
 
 impl Pooled {
-    /// The coordinates η. Centre: pooled least squares. Scale: the average informed test has unit information on each state.
+    /// The coordinates η: the centre is the pooled least-squares estimate, and the scale gives unit information on each
+    /// state to the average test that informs the state.
     pub(super) fn frame(&self) -> Frame {
         let Pooled { information, informed, y, squares, tests } = self;
         let p = y.len();
@@ -53,7 +54,7 @@ impl Pooled {
         }
     }
 
-    /// Sums over all reductions; `order` must not depend on their order in the data.
+    /// Sums over the reductions of the indices in `order`, which must not depend on the order of the data.
     pub(super) fn all(reductions: &Reductions, order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let units = &exact_units(reductions, order);
         let of = |part| Pooled::of((reductions, units), part, (p, regressors));
@@ -61,13 +62,13 @@ impl Pooled {
         parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
     }
 
-    /// The sums as a list of numbers that can be added to others.
+    /// The sums as a list; lists of several places can be added up.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let Pooled { information, informed, y, squares, tests } = self;
         [information, informed, y, squares].into_iter().flatten().copied().chain([*tests]).collect()
     }
 
-    /// The sums from such a list; `None` where its length is wrong.
+    /// The sums from a list that `numbers` has made; `None` where the length is wrong.
     pub(super) fn of_numbers((p, regressors): (usize, usize), numbers: &[f64]) -> Option<Pooled> {
         let (information, rest) = numbers.split_at_checked(pairs(p))?;
         let (informed, rest) = rest.split_at_checked(p)?;
@@ -78,7 +79,7 @@ impl Pooled {
         Some(Pooled { information, informed, y, squares, tests })
     }
 
-    /// Σ R'R in units of the frame.
+    /// Σ R'R in η, p × p.
     pub(super) fn information(&self, frame: &Frame) -> DMatrix<f64> {
         let (p, scale) = (self.y.len(), &frame.scale);
         DMatrix::from_fn(p, p, |i, k| scale[i] * self.information[pair(i, k)] * scale[k])
@@ -104,7 +105,7 @@ impl Pooled {
         sum
     }
 
-    /// Adds what a test measures exactly as if it were known with the standard errors `units`: the sums only serve to
+    /// Adds the exact rows of a test as measurements with the standard deviations `units`: the sums only serve to
     /// choose coordinates.
     fn add_exact(&mut self, exact: &ExactRows, units: &[f64], factor: &[f64]) {
         let p = self.y.len();
@@ -133,8 +134,8 @@ impl Pooled {
     }
 }
 
-/// Standard deviation over tests of the first, second, … value that tests measure exactly, or else the size of these
-/// values.
+/// A unit for the first, second, … value that tests measure exactly: the standard deviation over tests, else the
+/// absolute value of the mean, else one.
 fn exact_units(reductions: &Reductions, order: &[usize]) -> Vec<f64> {
     let mut found: Vec<Spread> = Vec::new();
     for exact in order.iter().filter_map(|&j| reductions.exact(j)) {

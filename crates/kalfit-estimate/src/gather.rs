@@ -14,7 +14,7 @@ use kalfit_model::Chain;
 use kalfit_model::ExactRows;
 use kalfit_model::Path;
 
-/// Writes tests with one R, by their numbers, into the buffer of a class.
+/// Writes the tests of these indices, which share one R, into the buffer of a class.
 pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
     let p = frame.scale.len();
     let zeros = |numbers: &mut Vec<f64>, size: usize| {
@@ -41,7 +41,7 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
         scatter((reductions, tests), (&offset, &units), class);
     }
     class.constant = tests.iter().map(|&j| reductions.constant(j)).sum();
-    // the density of g in the units of the scaled rows
+    // the density of the scaled rows, from that of g
     class.constant += tests.len() as f64 * units.iter().map(|unit| unit.ln()).sum::<f64>();
     class.square_root = exact.is_some() || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot);
     class.chain = None;
@@ -63,7 +63,7 @@ fn write_exact(exact: &ExactRows, frame: &Frame, class: &mut Class) -> Vec<f64> 
     units
 }
 
-/// Writes tests in phases into the buffer of a class; `place` is their lane if they are packed.
+/// Writes tests in phases into the buffer of a class; `place`: the lane of the class, if packed.
 pub(super) fn gather_chains(
     (reductions, tests): (&Reductions, &[usize]),
     (frame, elements): (&Frame, &Elements),
@@ -80,7 +80,7 @@ pub(super) fn gather_chains(
     set_count_and_covariates(reductions, tests, frame, class);
 }
 
-/// Sets the number of tests and their covariates in units of the frame.
+/// Sets the number of tests and the covariates, in units of the frame.
 fn set_count_and_covariates(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
     class.count = tests.len() as f64;
     class.covariates.clear();

@@ -1,4 +1,5 @@
-//! The law of ξ_j at a point of the search (theory §6), and the posteriors that tests of one unit share.
+//! The law of ξ_j at a point of the search (theory §6), and the posteriors of the tests of a unit given all tests of
+//! the unit.
 
 use std::sync::Arc;
 
@@ -18,12 +19,13 @@ pub fn law_at(problem: &Problem, point: &Point) -> InitialLaw {
     law_with(problem, point, None)
 }
 
-/// The law of ξ_j at a point; `mean_covariance` is that of the free mean coordinates, under the restricted likelihood.
+/// The law of ξ_j at a point; `mean_covariance`: the covariance of the free mean coordinates, under the restricted
+/// likelihood.
 pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
     let frame = &problem.classes.frame;
     let (all, units) = (frame.scale.len(), problem.mean_units());
     let coefficients = point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s);
-    // of a test in groups ξ is the sum over the levels
+    // ξ of a test in groups is a sum over the levels
     let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
     let p = all / levels;
     let mean = frame.mean_out(&point.mean);
@@ -52,7 +54,7 @@ pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option
     }
 }
 
-/// A law whose tests' posteriors are given all tests of these units, at a point.
+/// The law with the posterior of each test given all tests of these units, at a point.
 pub(crate) fn within_units(
     law: InitialLaw,
     (units, frame): (&Units, &Frame),
@@ -61,7 +63,8 @@ pub(crate) fn within_units(
     InitialLaw { given: Some(Arc::new(joint_posteriors((units, frame), (point, regressors), None))), ..law }
 }
 
-/// The posteriors of all tests of these units. `half`: a root of the covariance of the mean coordinates of a test, under the restricted likelihood.
+/// The posterior of each test given all tests of these units. `half`: a root of the covariance of the mean coordinates
+/// of a test, under the restricted likelihood.
 fn joint_posteriors(
     (units, frame): (&Units, &Frame),
     (point, regressors): (&Point, &Regressors),

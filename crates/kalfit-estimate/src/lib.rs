@@ -119,8 +119,8 @@ use crate::search::{Beginning, Search};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
 
-/// Maximises, by the criterion of the settings, ℓ(μ, Σ) over the reductions under a structure, or the restricted
-/// likelihood of Σ with μ by generalised least squares.
+/// Maximises the criterion of the settings under a structure: ℓ(μ, Σ) of the reductions, or the restricted likelihood
+/// of Σ with μ by generalised least squares.
 pub fn fit(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -131,8 +131,8 @@ pub fn fit(
     Search::new(problem, settings, progress).run(Beginning::Open, structure)?.of_all(reductions)
 }
 
-/// Fits as [`fit`] does, from values near the optimum: those of a fit under another structure or to other tests. The
-/// values need not meet the structure. Regression coefficients that are not given start at zero.
+/// Fits as [`fit`] does, from values near the optimum, such as the estimates under another structure or from other
+/// tests. The values need not meet the structure. Regression coefficients that are not given start at zero.
 pub fn fit_from(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -144,14 +144,15 @@ pub fn fit_from(
     Search::new(problem, settings, progress).run(Beginning::Near(start), structure)?.of_all(reductions)
 }
 
-/// As [`fit`], from the end of another search, under other reductions of the same tests and in its coordinates.
+/// Fits as [`fit`] does, to other reductions of the tests of an ended search, from the point where that search ended
+/// and in the coordinates of that search.
 pub fn fit_on(end: &FinalState, reductions: &Reductions, structure: &Structure<'_>) -> Result<Estimate, FitError> {
     let problem = Problem::within(&end.evidence(reductions), structure, &end.problem)?;
     let start = Beginning::At(end.newton_iterate.point.clone());
     Search::new(problem, &end.settings, &mut Silent).run(start, structure)?.of_all(reductions)
 }
 
-/// The problem, the point where a search would begin, and the sums there with the expected information.
+/// The problem, the point where a search would begin, and the sums at that point with the expected information.
 pub fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Point, Sums), FitError> {
     let problem = problem(reductions, structure, &Settings::default())?;
     let start = start::start(&problem, structure)?;
@@ -177,7 +178,8 @@ fn duplicate_id(reductions: &Reductions) -> Option<&str> {
     again.min()
 }
 
-/// The problem to be maximised over the reductions; an error where it is not well defined.
+/// The problem that a fit solves; an error where there are no tests, where two tests share an id, or where a test
+/// cannot be in groups.
 fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
     let reductions = &*evidence(reductions, structure, settings)?;
     if reductions.is_empty() && reductions.remote().is_none() {

@@ -18,9 +18,9 @@ use kalfit_filter::reduce::Reductions;
 /// Which derivatives are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Derivatives {
-    /// The score: one pass as EM needs it.
+    /// The score: one pass, as in EM.
     First,
-    /// The score and the observed information: one pass as Newton's method needs it.
+    /// The score and the observed information: one pass, as in Newton's method.
     Second,
 }
 
@@ -41,8 +41,8 @@ pub struct Evaluation {
     pub covariance_score: DMatrix<f64>,
     /// Σ_j W_j = -∂²ℓ/∂μ∂μ' (p × p).
     pub mean_information: DMatrix<f64>,
-    /// -∂²ℓ/∂σ∂σ' over the elements (0,0), (1,0), (1,1), … of each phase; an off-diagonal element stands for both
-    /// entries of Σ.
+    /// -∂²ℓ/∂σ∂σ' over the elements (0,0), (1,0), (1,1), … of each phase; an off-diagonal element changes both entries
+    /// of Σ.
     pub covariance_information: Option<DMatrix<f64>>,
     /// -∂²ℓ/∂μ∂σ' (p × elements).
     pub cross_information: Option<DMatrix<f64>>,
@@ -54,8 +54,9 @@ impl Likelihood {
         Likelihood::of_phases(reductions, std::iter::once(0..p).collect(), Combination::Stacked)
     }
 
-    /// Gathers reductions in phases, without regression; `ranges` holds the states of each phase. The likelihood is the
-    /// full one, phase by phase ([`Combination::Chain`]) or else stacked.
+    /// Gathers reductions in phases, without regression; `ranges` holds the states of each phase. The likelihood is
+    /// that of all phases together, computed phase by phase under [`Combination::Chain`] and from stacked reductions
+    /// otherwise.
     pub fn of_phases(reductions: &Reductions, ranges: Vec<Range<usize>>, combination: Combination) -> Likelihood {
         Likelihood { classes: Classes::new(reductions, ranges, 0, combination == Combination::Chain) }
     }
@@ -110,8 +111,9 @@ impl Likelihood {
     }
 }
 
-/// Floating-point operations of one pass for one test of dimension p: those of the kernel and of the sums of first
-/// derivatives, as counted in a run, and those that add the test's terms to the sums of second derivatives.
+/// Floating-point operations of one pass for one test of dimension p: the operations of the kernel and of the sums of
+/// first derivatives, as counted in a run, plus the operations that add the terms of the test to the sums of second
+/// derivatives.
 pub fn pass_flops(p: usize, derivatives: Derivatives) -> u64 {
     let flops = flops_of_a_test(p);
     let first = flops.add + flops.mul + 2 * flops.fma + flops.div;

@@ -1,9 +1,9 @@
 //! Linear covariance structures Σ = G0 + Σ_g θ_g G_g (Anderson 1973) in the solver's terms: blocks and linear
 //! constraints.
 //!
-//! An element that is zero in every matrix is a structural zero. Among the others, as many pivots are chosen as there
-//! are generators; with the generators in echelon form, every other element is linear in the pivots, and that is one
-//! constraint.
+//! An element that is zero in every matrix is a structural zero. Among the other elements, as many pivots are chosen as
+//! there are generators; with the generators in echelon form, each element that is no pivot is linear in the pivots,
+//! which is one constraint.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,7 +17,7 @@ use kalfit_model::{CovarianceStructure, StructureError};
 const INTERIOR_EIGENVALUE: f64 = 0.05;
 /// Maximum number of rounds of projections onto the structure and the cone.
 const MAX_PROJECTIONS: usize = 500;
-/// Coefficients below this fraction of the largest one in their constraint are rounding.
+/// Coefficients of a constraint below this fraction of the largest coefficient are rounding errors.
 const COEFFICIENT_ROUNDING: f64 = 1e-14;
 
 /// A linear structure in η.
@@ -76,7 +76,7 @@ impl LinearStructure {
         Ok(others.map(|s| self.constraint(&free, &pivots, span.row(s).iter().copied(), s)).collect())
     }
 
-    /// The constraint σ_s - Σ_g e_g σ_pivot(g) = the same combination of G0, scaled to coefficients of order one.
+    /// The constraint σ_s - Σ_g e_g σ_pivot(g) = (G0)_s - Σ_g e_g (G0)_pivot(g), divided by the largest coefficient.
     fn constraint(
         &self,
         free: &[(usize, usize)],

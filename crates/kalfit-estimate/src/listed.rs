@@ -4,7 +4,7 @@ use crate::chained::ChainStore;
 use crate::class::ClassRef;
 use kalfit_algebra::row_lists::RowLists;
 
-/// A list of classes, with one column for each of their quantities.
+/// A list of classes, stored as one list for each quantity of a class.
 #[derive(Debug, Clone, Default)]
 pub struct Listed {
     counts: Vec<f64>,

@@ -23,11 +23,11 @@ pub struct Local {
     pub mean_information: DMatrix<f64>,
     /// G: the value changes by tr(G dΣ).
     pub score: DMatrix<f64>,
-    /// -∂²/∂mean ∂σ_pair.
+    /// -∂²/∂mean ∂σ, mean coordinates × elements.
     pub cross: DMatrix<f64>,
-    /// -∂²/∂σ_pair ∂σ_pair.
+    /// -∂²/∂σ ∂σ', elements × elements.
     pub information: Arc<DMatrix<f64>>,
-    /// Σ W over tests: the scale of information on Σ.
+    /// Σ_j W_j, p × p: the scale of information on Σ.
     pub weight: DMatrix<f64>,
     /// Covariance of the free mean coordinates at a known Σ, under the restricted likelihood.
     pub(crate) mean_covariance: Option<DMatrix<f64>>,
@@ -48,16 +48,16 @@ impl Local {
         }
     }
 
-    /// Number of mean coordinates and elements of Σ.
+    /// Number of mean coordinates plus number of elements of Σ.
     pub(crate) fn gradient_size(&self) -> usize {
         self.mean_score.len() + self.information.nrows()
     }
 }
 
-/// Something to maximise over (mean coordinates, Σ).
+/// A function of (mean coordinates, Σ) that is maximised.
 pub trait Objective {
     /// Value and derivatives; `None` where the function is not defined. `near` is the covariance of the free mean
-    /// coordinates at a nearby point, where it is known.
+    /// coordinates at a nearby point, if known.
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local>;
     /// d(mean coordinates) / d(free mean coordinates).
     fn mean_jacobian(&self) -> &DMatrix<f64>;
@@ -84,7 +84,7 @@ pub struct Tangent {
     pub sizes: Vec<f64>,
     /// Lagrange multipliers: dℓ_max / d(constraint value).
     pub multipliers: Vec<f64>,
-    /// G - Λ: the score that remains after the constraints' multipliers are subtracted.
+    /// G - Λ, p × p: the score less the Lagrange multipliers of the constraints on Σ.
     pub residual_score: DMatrix<f64>,
 }
 
@@ -124,7 +124,7 @@ impl Tangent {
         tangent
     }
 
-    /// The gradient along the basis from the derivatives by mean coordinates and by ψ.
+    /// The gradient along the basis, from the derivatives by mean coordinates and by ψ.
     pub fn pulled_back(
         &self,
         mean_jacobian: &DMatrix<f64>,
@@ -143,7 +143,7 @@ impl Tangent {
     }
 }
 
-/// The information along a basis.
+/// The information along a basis, from the information in free coordinates.
 fn along(basis: &Sparse, mut information: DMatrix<f64>) -> DMatrix<f64> {
     if !basis.is_identity() {
         return basis.congruence(&information);
@@ -152,14 +152,15 @@ fn along(basis: &Sparse, mut information: DMatrix<f64>) -> DMatrix<f64> {
     information
 }
 
-/// The natural size of each element of ξ, in η: √(1 + Σ_ii), the spread over tests together with the uncertainty that
-/// one test leaves. Information on an element is measured in this unit: a large Σ makes the information on μ and Σ
-/// small, yet no more can be known.
+/// The natural size of each element of ξ, in η: √(1 + Σ_ii), from the variance over tests and the unit variance that
+/// one test cannot reduce. Information is compared in units of natural sizes: a large Σ makes the information on μ and
+/// Σ small even where the data are as good as data can be.
 pub fn natural_sizes(root: &DMatrix<f64>) -> Vec<f64> {
     root.row_iter().map(|row| (1.0 + row.norm_squared()).sqrt()).collect()
 }
 
-/// Natural length of a step along Σ weight × coordinate: the smallest size counts most, as it does for information.
+/// Natural length of a step along Σ weight × coordinate, 1/√(Σ (weight/size)²): the smallest size counts most, as in
+/// the information.
 pub fn natural_length(parts: impl Iterator<Item = (f64, f64)>) -> f64 {
     let sum: f64 = parts.map(|(weight, size)| (weight / size).powi(2)).sum();
     if sum > 0.0 { sum.sqrt().recip() } else { 1.0 }
@@ -173,14 +174,15 @@ fn coordinate_sizes(
     root: &DMatrix<f64>,
 ) -> Vec<f64> {
     let sizes = natural_sizes(root);
-    // a regression coefficient, whose covariates are of size one, has the size of the state that it acts on
+    // a regression coefficient, whose covariates are of size one, has the natural size of the state that the
+    // coefficient acts on
     let of = |i: usize| sizes[if i < sizes.len() { i } else { regressors[i - sizes.len()] }];
     let mean = mean_jacobian.column_iter().map(|c| natural_length(c.iter().enumerate().map(|(i, x)| (*x, of(i)))));
     let psi = chart.coordinates.iter().map(|entries| natural_length(entries.iter().map(|&(i, _, x)| (x, sizes[i]))));
     mean.chain(psi).collect()
 }
 
-/// Gradients of the constraints in σ_pair, constraints × elements.
+/// Gradients of the constraints by the elements of Σ, constraints × elements.
 pub(crate) fn normals(constraints: &[Constraint], elements: &Elements) -> DMatrix<f64> {
     let mut normals = DMatrix::zeros(constraints.len(), elements.count());
     for (m, constraint) in constraints.iter().enumerate() {
@@ -192,8 +194,8 @@ pub(crate) fn normals(constraints: &[Constraint], elements: &Elements) -> DMatri
 }
 
 /// Lagrange multipliers. Where all elements of a constraint belong to zero variances, no step in ψ changes the
-/// constraint (dσ/dψ = 0): its multiplier is then chosen so that the remaining score lies along it, as the certificate
-/// needs.
+/// constraint (dσ/dψ = 0): the multiplier is then the least-squares one, which makes the remaining score orthogonal to
+/// the gradient of the constraint, as the certificate needs.
 fn multipliers(
     (constraints, elements): (&[Constraint], &Elements),
     (in_sigma, normals): (&DMatrix<f64>, &DMatrix<f64>),
@@ -206,7 +208,7 @@ fn multipliers(
     let mut found = symmetric::pseudo_solve(&(normals * normals.transpose()), &(normals * gradient));
     let inactive: Vec<usize> = (0..normals.nrows()).filter(|&m| normals.row(m).amax() == 0.0).collect();
     if !inactive.is_empty() {
-        // along the constraint, elements grow in the ratio of its coefficients: these sizes give their parts of the
+        // under x σ_ij + y σ_kl = 0, σ_kl grows |x/y| times as fast as σ_ij: sizes in that ratio give both parts of the
         // score equal weight
         let mut size = DVector::from_element(score.len(), 1.0);
         for &m in &inactive {
@@ -235,7 +237,7 @@ fn multiplier_matrix(constraints: &[Constraint], multipliers: &[f64], p: usize) 
     matrix
 }
 
-/// Negative Hessian of the Lagrangian in (mean, ψ): the information chained to ψ, less the curvature of Σ = FF'.
+/// Negative Hessian of the Lagrangian in (mean, ψ): the information by the chain rule, less tr((G - Λ) ∂²Σ/∂ψ∂ψ').
 fn free_information(
     local: &Local,
     mean_jacobian: &DMatrix<f64>,
@@ -260,7 +262,7 @@ fn free_information(
     information
 }
 
-/// Bounded coordinates that are at zero and that the gradient would move below zero.
+/// Indices of the bounded coordinates that are at zero and that the gradient would move below zero.
 fn held_coordinates(chart: &Chart, gradient: &DVector<f64>) -> Vec<usize> {
     let at_zero = |&k: &usize| chart.bounded[k].is_some_and(|value| value <= 0.0) && gradient[k] <= 0.0;
     (0..chart.bounded.len()).filter(at_zero).collect()

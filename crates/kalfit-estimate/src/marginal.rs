@@ -1,4 +1,4 @@
-//! Each phase by itself: the paper's quick analysis, in information form (theory §7, "Three ways to fit").
+//! Phases treated as independent: the paper's quick analysis, in information form (theory §7, "Three ways to fit").
 //!
 //! The least-squares estimate of σ_i from phase i alone, less its prediction from the estimate of σ_{i-1} by phase i-1
 //! alone, is a difference with the mean Eμ_i and the covariance EΣ_iE' + J_e⁻¹. With S = I + R_iCC'R_i' = U'U for the
@@ -26,8 +26,8 @@ use kalfit_model::{Reduction, unpack};
 /// Singular values below this count as zero, with each column in units of its norm before the projection.
 const RANK_TOLERANCE: f64 = 1e-12;
 
-/// The reduction of a test with its phases treated as independent; `None` where the reduction is not stored phase by
-/// phase. `states` counts the states of all phases of the model.
+/// The reduction of a test with the phases treated as independent; `None` where the reduction is not stored phase by
+/// phase. `states`: number of states of all phases of the model.
 pub(crate) fn marginal(reduction: ReductionRef<'_>, states: usize) -> Option<Reduction> {
     let chain = reduction.chain?;
     let mut before: Option<&ChainPhase> = None;
@@ -59,7 +59,7 @@ impl Difference {
         }
     }
 
-    /// The difference from both phases' rows, with σ of the phase before projected out.
+    /// The difference, from the rows of both phases with σ of the phase before projected out.
     fn remainder(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
         let (earlier, q) = (unpack(&before.factor, before.data.len()), own.nrows());
         let from = earlier.nrows();
@@ -94,8 +94,8 @@ impl Difference {
         Difference { factor: range.transpose() * factor, data: range.transpose() * data, constant }
     }
 
-    /// The difference as an independent phase of the states that belong to ξ; states that are only inherited have no
-    /// part in ξ.
+    /// The difference as an independent phase of the states that belong to ξ; states that are only inherited are no
+    /// part of ξ and are dropped.
     fn phase(self, before: Option<usize>, like: &ChainPhase) -> ChainPhase {
         let own = like.own;
         let rows = self.factor.nrows();
@@ -120,7 +120,8 @@ impl Difference {
     }
 }
 
-/// An orthonormal basis of the column space, with each column in units of the norm of that column of `full`.
+/// An orthonormal basis of the column space of `a`; the rank refers to columns divided by the norms of the columns of
+/// `full`.
 fn range(a: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
     let nonzero: Vec<usize> = (0..a.ncols()).filter(|&k| full.column(k).norm() > 0.0).collect();
     if nonzero.is_empty() {

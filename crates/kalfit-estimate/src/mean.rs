@@ -14,11 +14,11 @@ pub struct MeanMap {
     pub offset: DVector<f64>,
     /// Q, p × q.
     pub basis: DMatrix<f64>,
-    /// The element that each regression coefficient acts on.
+    /// For each regression coefficient, the element of μ that the coefficient acts on.
     pub regressors: Vec<usize>,
     /// Scale of each regression coefficient: γ = coefficient × scale.
     pub coefficient_scale: Vec<f64>,
-    /// Value of each element of μ that is fixed, in the user's units.
+    /// For each element of μ the fixed value in the user's units, or `None` if the element is not fixed.
     pub(crate) fixed: Vec<Option<f64>>,
 }
 
@@ -62,8 +62,9 @@ impl MeanMap {
     }
 
     /// The paper's (20), generalised: the point of the structure nearest to the mean of the posterior means in the
-    /// metric Σ⁻¹. Without constraints that is (8), the mean itself. `None` when Σ is singular and the mean is
-    /// constrained: the metric is not defined then, and the mean needs generalised least squares instead.
+    /// metric Σ⁻¹. Without constraints, that point is the mean of the posterior means, (8). `None` when Σ is singular
+    /// and the mean is constrained: the metric is not defined then, and the mean needs generalised least squares
+    /// instead.
     pub(crate) fn maximise(&self, posterior_mean: &DVector<f64>, sigma: &DMatrix<f64>) -> Option<DVector<f64>> {
         if self.basis.ncols() == posterior_mean.len() {
             return Some(posterior_mean.clone());
@@ -79,7 +80,7 @@ impl MeanMap {
 
 /// Orthonormal columns with the span of the columns of a matrix of full column rank, by Gram-Schmidt, twice. Columns
 /// without a common element keep their directions: reflections would cause rounding errors in elements that are zero,
-/// and so give a trace of information to means that the data do not inform.
+/// and means that the data do not inform would seem to be informed a little.
 fn orthonormal(mut a: DMatrix<f64>) -> DMatrix<f64> {
     for c in 0..a.ncols() {
         for _ in 0..2 {

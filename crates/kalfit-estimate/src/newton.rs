@@ -28,7 +28,7 @@ pub struct NewtonIterate {
 }
 
 impl NewtonIterate {
-    /// Evaluates the objective: one pass.
+    /// The iterate at a point, from one evaluation of the objective (one pass); `None` as for [`NewtonIterate::at`].
     pub fn new(
         objective: &dyn Objective,
         map: &CovarianceMap,
@@ -56,7 +56,7 @@ impl NewtonIterate {
         iterate.decrement().is_finite().then_some(iterate)
     }
 
-    /// The covariance of the free mean coordinates, where it is known: evaluations at nearby points may reuse it.
+    /// The covariance of the free mean coordinates, if known: evaluations at nearby points may reuse that matrix.
     pub fn near(&self) -> Option<&DMatrix<f64>> {
         self.local.mean_covariance.as_ref()
     }
@@ -65,9 +65,9 @@ impl NewtonIterate {
         self.curvature.decrement()
     }
 
-    /// The successor of this iterate, if `make` returns one. Meanwhile large matrices of this iterate are put aside:
-    /// those by elements of Σ are stored in half their memory, those that follow from them are dropped. They are
-    /// restored where `make` returns none; after a success this iterate must not be used any more.
+    /// The successor of this iterate, if `make` returns one. While `make` runs, large matrices of this iterate need
+    /// less memory: `local.information` is folded to half the size and `tangent.information` is dropped. Both are
+    /// restored if `make` returns `None`; after a success this iterate must not be used any more.
     pub(crate) fn try_successor(
         &mut self,
         objective: &dyn Objective,
@@ -86,7 +86,7 @@ impl NewtonIterate {
         next
     }
 
-    /// Drops the information along the tangent basis if it is large: it can be computed again.
+    /// Drops the information along the tangent basis if large; `recompute_information` restores the matrix.
     pub(crate) fn drop_information(&mut self) {
         if self.tangent.information.nrows() >= LARGE_ROWS {
             self.tangent.information = DMatrix::zeros(0, 0);
@@ -110,8 +110,8 @@ pub(crate) enum Attempt {
     Better(Box<NewtonIterate>),
     /// The step failed with every damping tried.
     Failed,
-    /// The step promised less than the rounding errors of the value, and the value fell: it cannot distinguish steps
-    /// any more.
+    /// The step promised less than the rounding errors of the value, and the value fell: the value cannot distinguish
+    /// steps any more.
     BelowRounding,
 }
 
@@ -157,7 +157,8 @@ impl Damping {
 }
 
 impl Damping {
-    /// Reduces the damping after a step that gained what it promised, raises it after one that did not.
+    /// Adapts the damping to `ratio`, the gain of a step over the promised gain: divided by 10 above ¾, multiplied by 4
+    /// below ¼, and zero below 10⁻⁶.
     fn adapt(&mut self, ratio: f64) {
         if ratio > 0.75 {
             self.0 *= 0.1;
@@ -186,7 +187,7 @@ pub(crate) fn moved(
 }
 
 impl CovarianceMap {
-    /// A nearby root F whose FF' meets the constraints, if one is found.
+    /// A root F near `root` with FF' on the constraints; `None` where Newton's method finds no such root.
     pub fn onto(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let chart = self.chart(root);
         let no_step = DVector::zeros(chart.coordinates.len());

@@ -2,8 +2,9 @@
 //!
 //! R and d are then R/√λ and d/√λ, so that ℓ depends on λ through Σ/λ, a factor 1/λ of the squared residuals, and a
 //! constant. Let u = log λ, O = Σ r r', W = Σ W_j, G = ∂ℓ/∂Σ, Q = Σ e'(I + RΣR')⁻¹e for e = d - Rμ, n the number of
-//! measurements, r the residual sum of squares of the tests that no ξ can reduce and, under the restricted likelihood,
-//! q the number of directions of the mean that the tests inform (otherwise zero). Then at u = 0
+//! measurements, r the part of the residual sum of squares of the tests that does not depend on ξ, and q the number of
+//! directions of the mean that the tests inform under the restricted likelihood, zero under maximum likelihood. Then at
+//! u = 0
 //!
 //! ```text
 //! ∂ℓ/∂u         = ½ (r - n + Q) + ½ tr(WΣ) - ½ tr(OΣ)
@@ -12,8 +13,8 @@
 //! ∂²ℓ/∂u²       = -½ (n - q) - ∂ℓ/∂u + tr(OΣ) + ∂²ℓ/∂Σ∂Σ [Σ, Σ]
 //! ```
 //!
-//! The restricted likelihood adds a(Σ/λ) + ½ q u to ℓ, with a its value at λ = 1, and ½ q - tr(A Σ) to ∂ℓ/∂u, with A =
-//! ∂a/∂Σ.
+//! The restricted likelihood adds a(Σ/λ) + ½ q u to ℓ, with a the term of the restricted likelihood at λ = 1, and ½ q -
+//! tr(A Σ) to ∂ℓ/∂u, with A = ∂a/∂Σ.
 
 use std::sync::Arc;
 
@@ -28,7 +29,7 @@ use crate::{Estimate, FinalState, FitError, Settings, Silent, Structure, problem
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::{Population, StructureError};
 
-/// Tests in one phase, with or without groups, whose noise can be scaled; with groups, Σ is that of every level.
+/// Tests in one phase, with or without groups, whose noise can be scaled; with groups, Σ has one block for each level.
 #[derive(Debug)]
 pub struct ScalableNoise {
     /// Classes at λ = 1.
@@ -39,7 +40,7 @@ pub struct ScalableNoise {
 }
 
 impl ScalableNoise {
-    /// From reductions at λ = 1, of which each says what it knows of the level of the noise.
+    /// From reductions at λ = 1, each with a known residual sum of squares.
     pub fn new(
         reductions: &Reductions,
         structure: &Structure<'_>,
@@ -54,7 +55,7 @@ impl ScalableNoise {
         Ok(ScalableNoise { classes, residuals: Arc::new(residuals), all })
     }
 
-    /// The best (μ, Σ) with all noise variances multiplied by λ, from nearby values if they are given.
+    /// Fits (μ, Σ) with all noise variances multiplied by λ = `variance`, from nearby values if given.
     pub fn fit(
         &self,
         variance: f64,
@@ -68,7 +69,7 @@ impl ScalableNoise {
         Search::new(problem, settings, &mut Silent).run(start, structure)
     }
 
-    /// ∂ℓ/∂u where a fit at this λ ended.
+    /// ∂ℓ/∂u at `state`, the end of a fit at λ = `variance`.
     pub fn slope(&self, variance: f64, state: &FinalState) -> f64 {
         let Residual { measurements, squares } = self.all;
         let (sums, sigma) = (&state.sums, state.newton_iterate.point.covariance());
@@ -77,7 +78,7 @@ impl ScalableNoise {
         0.5 * (own + state.problem.informed() as f64) - restricted.unwrap_or(0.0)
     }
 
-    /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) at a state, from ∂ℓ/∂u.
+    /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) at a state, from `slope` = ∂ℓ/∂u.
     pub fn information(&self, slope: f64, state: &FinalState) -> NoiseInformation {
         state.noise_information(self.all.measurements, slope)
     }
@@ -112,7 +113,7 @@ impl FinalState {
 }
 
 impl FinalState {
-    /// The state with its classes as those of reductions of the same tests.
+    /// The state with `reductions`, of the tests of this state, as the data of the problem.
     pub fn with_reductions(self, reductions: &Reductions) -> Result<FinalState, StructureError> {
         let problem = match self.problem.classes.with_reductions(reductions) {
             Some(classes) => Problem::of(classes, &self.structure(), self.problem.criterion())?,

@@ -12,8 +12,8 @@ use crate::point::Point;
 use crate::remote;
 use crate::terms::ClassTerms;
 
-/// Number of tests of a class and, for each element i, Σ (y - Jμ)_i² - J_ii over these tests, which has the mean Σ
-/// (JΣJ)_ii, and J_ii of one test.
+/// For one class: the number of tests and, for each element i, (Σ over the tests of (y - Jμ)_i² - J_ii, J_ii of one
+/// test). The sum has the expected value Σ (JΣJ)_ii.
 type Excess = (f64, Vec<(f64, f64)>);
 
 impl Classes {
@@ -43,8 +43,8 @@ impl Classes {
         Point { mean: vec![0.0; p], coefficients: vec![0.0; regressors], root: DMatrix::zeros(p, p) }
     }
 
-    /// For each element i the sums over tests of (y - Jμ)_i² - J_ii, which has the mean Σ (JΣJ)_ii, and of J_ii²; for
-    /// elements of a level of groups, the sums over its groups.
+    /// For each element i (Σ (y - Jμ)_i² - J_ii, Σ J_ii²), sums over tests, or over groups for elements of a level. The
+    /// first sum has the expected value Σ (JΣJ)_ii.
     pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
         let p = mean.len();
         if let Some(remote) = &self.remote {

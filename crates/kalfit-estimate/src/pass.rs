@@ -17,10 +17,10 @@ use crate::remote;
 use crate::sums::{GroupDerivatives, Sums};
 use kalfit_algebra::elements::Elements;
 
-/// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
+/// Number of classes that one task sums: fixed, so that sums have the same bits for any number of threads.
 const CLASSES_PER_TASK: usize = 128;
 
-/// Maximum number of tasks that tests in phases are split into: each needs much memory for second derivatives.
+/// Maximum number of tasks that tests in phases are split into: each task needs much memory for second derivatives.
 const MAX_CHAIN_TASKS: usize = 16;
 
 impl SumsWanted<'_> {
@@ -73,11 +73,11 @@ pub(crate) fn pass(
     if needs_rotations.is_empty() { sums } else { sums.and(1.0, &one_by_one(&needs_rotations, point, wanted)) }
 }
 
-/// The value that stands for ℓ = -∞ in sums that are sent and added up.
+/// The finite value sent in place of ℓ = -∞, so that sums can be added up.
 const SENT_MINUS_INFINITY: f64 = -1e300;
 
-/// A pass whose sums are sent to a search elsewhere. Such a search also requests, at Σ = 0, the information of the
-/// tests on the mean, where ℓ is -∞ if something is measured exactly.
+/// A pass whose sums are sent to a search on another machine. Such a search also requests the information on the mean
+/// at Σ = 0, where ℓ = -∞ if a test measures something exactly.
 pub(super) fn pass_for_remote(
     classes: &Classes,
     regressors: &Regressors,
@@ -94,7 +94,7 @@ pub(super) fn pass_for_remote(
     sums
 }
 
-/// Adds the sums of tests in phases that are evaluated in lanes; returns the classes that need more careful arithmetic.
+/// Adds the sums of tests in phases that are evaluated in lanes; returns the classes that need rotations.
 fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
     let of = |blocks: &[Arc<Packed>]| isa.run(ChainKernel { blocks, classes: &classes.listed, point, wanted });
@@ -144,7 +144,8 @@ pub(crate) fn of_class(
     one_by_one(&[class.view()], point, wanted(&classes.elements, regressors, order, flat))
 }
 
-/// The request for a pass; regressions and the restricted likelihood need all of the information on the mean.
+/// The sums that a pass computes for `order`; with regressions or under the restricted likelihood, at least the sums of
+/// [`Order::Mean`].
 fn wanted<'a>(
     elements: &'a Elements,
     regressors: &'a Regressors,

@@ -1,8 +1,8 @@
 //! A start from a subset of the tests.
 //!
-//! Where designs are very many, every k-th one in the order of their information represents all. The best (μ, Σ) of
-//! this subset costs little and lies within the subset's sampling error of the best for all, from where Newton's method
-//! needs only a few passes.
+//! Where classes are very many, every k-th class in canonical order represents all classes. The maximum over this
+//! subset costs little and differs from the maximum over all tests by about the sampling error of the subset; from
+//! there, Newton's method needs only a few passes.
 
 use crate::problem::Problem;
 use crate::{Criterion, FitError, Structure};
@@ -14,8 +14,8 @@ const CLASSES_PER_COORDINATE: usize = 6;
 /// A pilot holds at most one in this many of all classes.
 const MIN_THINNING: usize = 8;
 
-/// The problem of a subset of the classes, in the same coordinates; `None` where the classes are too few to make it
-/// worthwhile.
+/// The problem of a subset of the classes, in the coordinates of `whole`; `None` where the classes are too few to make
+/// a pilot worthwhile.
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
     let wanted = MIN_CLASSES.max(CLASSES_PER_COORDINATE * coordinates);

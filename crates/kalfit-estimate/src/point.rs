@@ -6,7 +6,8 @@ use nalgebra::DMatrix;
 use crate::chained::Packed;
 use crate::class::ClassRef;
 
-/// Where ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ = FF'.
+/// A point at which ℓ is evaluated, in η: the mean (without regression), scaled regression coefficients, and F with Σ =
+/// FF'.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Point {
     /// μ without regression (p).

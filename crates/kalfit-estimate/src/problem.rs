@@ -1,4 +1,4 @@
-//! The problem as a whole: classes, the structure of μ and Σ, and a count of the passes.
+//! The problem that a search solves: classes of tests, the structure of μ and Σ, and a count of the passes.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -84,12 +84,13 @@ impl Problem {
         })
     }
 
-    /// Whether a level of groups, numbered by its block of Σ, has only one group.
+    /// Whether level `level` of groups, the index of a block of Σ, has only one group.
     pub fn is_one_group(&self, level: usize) -> bool {
         level > 0 && self.classes.units.is_some() && self.classes.present[level] <= 1.0
     }
 
-    /// The problem of tests in groups as if each stood alone, and the same point there: with the covariances of all levels together.
+    /// (problem of the tests with the groups ignored, `point` in that problem, with the sum of the covariances of all
+    /// levels as Σ).
     pub fn apart(&self, structure: &Structure<'_>, point: &Point, reductions: &Reductions) -> Option<(Problem, Point)> {
         let first = Structure { phases: structure.phases[..1].to_vec(), grouping: None, ..structure.clone() };
         let alone = match self.classes.remote {
@@ -105,9 +106,9 @@ impl Problem {
     }
 
     /// The objective and its derivatives: one pass over the classes. The restricted likelihood's second derivatives
-    /// contain the covariance C⁻¹ of the mean within the sum over classes, and C is such a sum itself: `near`, from a
-    /// nearby point, replaces it there. They are exact when that point is this one; nothing else depends on `near`.
-    /// `None` where the restricted likelihood is not defined.
+    /// contain the covariance C⁻¹ of the mean within the sum over classes, and C is a sum over classes too: `near`, C⁻¹
+    /// at a nearby point, replaces C⁻¹ within the sum. The second derivatives are exact if the nearby point is `point`;
+    /// nothing else depends on `near`. `None` where the restricted likelihood is not defined.
     pub(crate) fn sums(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         let sums = self.unrestricted(point, order, near);
         if self.classes.remote.is_some() && sums.value.is_nan() {
@@ -122,7 +123,7 @@ impl Problem {
         pass(&self.classes, &self.mean.regressors, point, order, self.flat(near).as_ref())
     }
 
-    /// Adds the term of the restricted likelihood, if that is maximised.
+    /// Adds the term of the restricted likelihood under that criterion; `None` where the term is not defined.
     fn restricted(&self, sums: Sums) -> Option<Sums> {
         let Some(restriction) = &self.restriction else { return Some(sums) };
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
@@ -135,8 +136,8 @@ impl Problem {
         self.restriction.as_ref().map(|_| FlatMean { jacobian: &self.mean_jacobian, covariance: near })
     }
 
-    /// Whether the tests without one class inform the same directions of the mean, where that matters, from the
-    /// [`unrestricted`](Problem::unrestricted) sums over all at a point.
+    /// Whether the tests without one class inform every direction of the mean that all tests inform, from the
+    /// [`unrestricted`](Problem::unrestricted) sums over all tests at a point; always true under maximum likelihood.
     pub fn informed_without(&self, all: &Sums, class: &Class, point: &Point) -> bool {
         let Some(restriction) = &self.restriction else { return true };
         let free = |of: &DMatrix<f64>| self.mean_jacobian.transpose() * of * &self.mean_jacobian;
@@ -145,16 +146,16 @@ impl Problem {
     }
 
     /// The objective and its derivatives without one class of tests, from the [`unrestricted`](Problem::unrestricted)
-    /// sums over all at the same point and `near`. Up to a constant, the restricted likelihood is that of the other
-    /// tests, as long as they inform the same directions of the mean.
+    /// sums over all tests at `point` with this `near`. Up to a constant, the restricted likelihood is that of the
+    /// tests of all other classes, provided that these tests inform every direction of the mean that all tests inform.
     pub fn without(&self, all: Sums, class: &Class, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         let flat = self.flat(near);
         let own = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
         self.restricted(all.and(-1.0, &own))
     }
 
-    /// Sets whether the next point may be the last one, where the expected information is needed too: the same pass
-    /// then computes it.
+    /// Sets whether the next point may be the last: the expected information is needed at the last point, and one pass
+    /// then computes it with the other sums.
     pub(crate) fn set_near_end(&self, soon: bool) {
         self.near_end.store(soon && self.restriction.is_none(), Ordering::Relaxed);
     }
@@ -221,7 +222,7 @@ impl Problem {
         Population { mean, coefficients, covariance }
     }
 
-    /// One unit in η of each mean coordinate, in the user's units.
+    /// For each mean coordinate, the size of one unit of η in the user's units.
     pub fn mean_units(&self) -> Vec<f64> {
         let coefficients = self.mean.coefficient_scale.iter().map(|scale| scale.recip());
         self.classes.frame.scale.iter().copied().chain(coefficients).collect()
@@ -258,12 +259,12 @@ pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 impl Objective for Problem {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
         let near_end = self.near_end.load(Ordering::Relaxed);
-        // a request to remote tests costs one round, whatever its size
+        // a request to remote tests costs one round, however large the answer
         if !near_end && (self.classes.remote.is_none() || self.restriction.is_some()) {
             return Some(Local::of(&mut self.sums(point, Order::Second, near)?));
         }
         let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        *last() = None; // its memory is needed
+        *last() = None; // the memory of the last sums is needed
         let asked = || self.sums(point, Order::Expected, near);
         let sums = if near_end { self.with_score(point, asked) } else { asked() }?;
         let mut sums = sums.with_folded_expected();

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use kalfit_algebra::elements::Elements;
 use kalfit_algebra::symmetric::{pair, pairs};
 
-/// Adds another matrix, times a sign.
+/// own += sign × other.
 pub(super) fn add_times(own: &mut DMatrix<f64>, sign: f64, other: &DMatrix<f64>) {
     own.zip_apply(other, |own, x| *own += sign * x);
 }
@@ -38,7 +38,7 @@ impl ProductBlock {
         if self.sum.is_empty() { 0.0 } else { self.sum[at] }
     }
 
-    /// Adds sums given by rows. The first ones of a square block become its matrix without a copy.
+    /// Adds sums given by rows. The first sums of a square block become the matrix without a copy.
     fn take(&mut self, sums: Vec<f64>) {
         let (rows, columns) = self.shape;
         if self.sum.is_empty() && rows == columns {

@@ -1,9 +1,9 @@
-//! A step on the quadratic model of ℓ in (mean, Σ) itself, over the cone that Σ must stay in.
+//! A step to the maximum of the quadratic model of ℓ in (mean, Σ), over the cone of positive semidefinite Σ.
 //!
 //! Newton's method in (mean, ψ), Σ = FF', has a quadratic model in ψ. Where a column of F goes to zero while the score
-//! along it vanishes too, ℓ is of fourth order in that column, and each such step only shrinks it by a third. In Σ
-//! there is no such degeneracy: maximising the quadratic model in (mean, Σ) over Σ = FF' costs no pass, and gives a
-//! step that reaches the boundary at once.
+//! along it vanishes too, ℓ is of fourth order in that column, and each Newton step in ψ shrinks the column only by a
+//! third. In Σ there is no such degeneracy: maximising the quadratic model in (mean, Σ) over Σ = FF' costs no pass, and
+//! gives a step that reaches the boundary at once.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ const VALUE_ROUNDING: f64 = 1e-13;
 /// Smallest fraction of the promised gain at which a step is accepted.
 const MIN_GAIN_RATIO: f64 = 0.05;
 
-/// The iterate at the model's maximum, for one pass; `None` where it gains too little of what the model promised.
+/// The iterate at the maximum of the model, by one pass; `None` where ℓ gains too little of what the model promised.
 pub(crate) fn step(
     objective: &dyn Objective,
     map: &CovarianceMap,
@@ -54,7 +54,7 @@ fn value_rounding(iterate: &NewtonIterate) -> f64 {
     VALUE_ROUNDING * iterate.local.value.abs().max(1.0)
 }
 
-/// The model's maximum, and the gain that it promises; `None` where the maximum is too far off.
+/// (maximum of the model, gain in ℓ that the model promises); `None` where the maximum is too far from the iterate.
 fn model_maximum(
     objective: &dyn Objective,
     map: &CovarianceMap,
@@ -92,7 +92,7 @@ fn with_zero_columns(
     end
 }
 
-/// F with its smallest column set to zero, of those that are small but not zero.
+/// F with the smallest non-zero column set to zero; `None` where no such column is below `SMALL_COLUMN`.
 fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let is_factor = |c: &usize| matches!(map.form_of(*c), CoordinateForm::Factor(_));
     let small = |c: &usize| (0.0..SMALL_COLUMN).contains(&root.column(*c).amax()) && root.column(*c).amax() > 0.0;
@@ -156,7 +156,8 @@ impl<'a> LocalQuadratic<'a> {
     }
 }
 
-/// Whether the variances in Σ have not grown too much: beyond that a model of second order is unreliable.
+/// Whether every variance v of Σ at the old point is at most 4 (1 + v) at the new one: farther away, a model of second
+/// order is unreliable.
 fn is_near(point: &Point, from: &Point) -> bool {
     let spread = |point: &Point, i: usize| point.root.row(i).norm_squared();
     (0..point.mean.len()).all(|i| spread(point, i) <= MAX_VARIANCE_RATIO * (1.0 + spread(from, i)))

@@ -1,8 +1,10 @@
-//! Multipliers that are not determined: at a singular Σ, combinations Λ of constraints with ΛΣ = 0 change no first-order condition.
+//! Multipliers that are not determined: at a singular Σ, combinations Λ of constraints with ΛΣ = 0 change no
+//! first-order condition.
 //!
-//! The certificate needs *some* multipliers with -(G - Λ) ⪰ 0 on the null space of Σ. Those combinations are therefore
-//! chosen so that the largest eigenvalue there is as small as possible. Where it stays positive, the matrix P ⪰ 0 that
-//! proves it is a direction in which Σ may grow: it keeps the constraints, tr(PΛ) = 0.
+//! The certificate needs *some* multipliers with -(G - Λ) ⪰ 0 on the null space of Σ. The undetermined combinations are
+//! therefore chosen so that the largest eigenvalue of G - Λ on the null space is as small as possible. Where that
+//! eigenvalue stays positive, the matrix P ⪰ 0 that proves the minimum is a direction in which Σ may grow within the
+//! constraints, tr(PΛ) = 0.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -48,7 +50,7 @@ fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
 }
 
 /// (A - Σ t_m S_m, P): the matrix with its largest eigenvalue made as small as possible by the t_m, and the density
-/// matrix P that proves it.
+/// matrix P that proves the minimum.
 pub(crate) fn relax(a: &DMatrix<f64>, free: &[DMatrix<f64>]) -> (DMatrix<f64>, DMatrix<f64>) {
     let free = orthonormal(free);
     let mut best = a.clone();

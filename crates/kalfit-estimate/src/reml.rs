@@ -10,8 +10,8 @@
 //!
 //! a does not depend on β, so the search is over (β, Σ) jointly as under maximum likelihood. β is in the user's units.
 //! A direction of β that no test informs is left out of |C|: the determinant is then the product of the non-zero
-//! eigenvalues of C in the user's coordinates, and q is their number. That is a convention; only fits that leave the
-//! same directions uninformed can be compared.
+//! eigenvalues of C in the user's coordinates, and q is the number of these eigenvalues. That is a convention; only
+//! fits that leave the same directions uninformed can be compared.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -72,7 +72,7 @@ impl Restriction {
         self.informed.ncols()
     }
 
-    /// Whether the C `information` informs every direction that the C `whole` does, even if much less.
+    /// Whether C = `information` informs every direction that C = `whole` informs, even if much less.
     pub(crate) fn informs(&self, information: &DMatrix<f64>, whole: &DMatrix<f64>) -> bool {
         let own = |of: &DMatrix<f64>| self.informed.transpose() * of * &self.informed;
         let Some(unit) = own(whole).cholesky() else { return false };
@@ -100,7 +100,7 @@ impl Restriction {
     }
 }
 
-/// ½ Σ_cd V_cd × (the part of the spread of β_c and β_d).
+/// A = ½ Σ_cd V_cd × (row (c, d) of the spread), p × p.
 fn score(covariance: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
     let q = covariance.nrows();
     let weights = packed_weights(covariance);
@@ -108,7 +108,7 @@ fn score(covariance: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) 
     elements.unpack(&packed)
 }
 
-/// The elements of a symmetric matrix, those off the diagonal counted twice.
+/// The elements of a symmetric matrix, packed, with elements off the diagonal times two.
 fn packed_weights(matrix: &DMatrix<f64>) -> DVector<f64> {
     let q = matrix.nrows();
     let mut packed = DVector::zeros(pairs(q));

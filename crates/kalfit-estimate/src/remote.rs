@@ -32,7 +32,7 @@ pub struct Counts {
 impl Counts {
     const LENGTH: usize = 5;
 
-    /// Counts of the tests behind reductions, wherever they are.
+    /// Counts of the tests of reductions, stored here or remote.
     pub fn of(reductions: &Reductions) -> Counts {
         if let Some(remote) = reductions.remote() {
             let survey = remote.ask(Question::Survey).unwrap_or_default();

@@ -31,7 +31,7 @@ impl Residual {
     }
 }
 
-/// All noise variances multiplied by λ, in coordinates that are √λ times as large: R stays, d becomes d/√λ.
+/// A factor λ of all noise variances, in coordinates that are √λ times as large: R does not change, d becomes d/√λ.
 #[derive(Debug, Clone)]
 pub(crate) struct NoiseScale {
     pub(crate) variance: f64,

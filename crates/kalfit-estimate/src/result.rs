@@ -43,7 +43,7 @@ pub struct Estimate {
     pub stop: Stop,
     /// ℓ after each accepted step.
     pub trace: Vec<f64>,
-    /// Iterations of the solver; each uses the reductions of all tests.
+    /// Number of passes over the reductions of all tests.
     pub passes: usize,
     /// Number of classes of tests with one information matrix.
     pub classes: usize,
@@ -131,7 +131,7 @@ pub struct FinalState {
 }
 
 impl FinalState {
-    /// The reductions whose likelihood was maximised, from those that the estimate was made from.
+    /// The reductions whose likelihood was maximised, from the reductions that the estimate was made from.
     pub fn evidence<'a>(&self, reductions: &'a Reductions) -> Cow<'a, Reductions> {
         evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")
     }
@@ -153,7 +153,7 @@ impl FinalState {
         self.assumed.structure()
     }
 
-    /// dΣ in the user's units as a column over the elements of Σ, in η.
+    /// dΣ, given in the user's units, as a list over the elements of Σ in η.
     pub fn elements_in(&self, derivative: &DMatrix<f64>) -> Vec<f64> {
         let scale = &self.problem.classes.frame.scale;
         let elements = &self.problem.covariance.elements;

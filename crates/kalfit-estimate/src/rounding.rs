@@ -9,8 +9,8 @@
 //! ```
 //!
 //! since the matrices S_j^-½ R_j (Σ W_j)^-½, stacked, have orthonormal columns. The score of Σ is linear in r_j, and
-//! its error is as large in units of its standard errors. In a frame, |μ_i| is the sum of the sizes of its parts, the
-//! centre, the mean in η and the regression: they cancel too.
+//! its error is as large in units of its standard errors. In a frame, |μ_i| means the sum of the absolute values of the
+//! centre, the mean in η and the regression, which may cancel.
 
 use crate::frame::Frame;
 use crate::newton::NewtonIterate;

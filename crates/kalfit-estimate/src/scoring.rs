@@ -90,8 +90,8 @@ fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMa
     half * symmetric::pseudo_solve(&relative, &right)
 }
 
-/// Σ + change, with the change reduced where it would leave less than a tenth of Σ = FF': direction by direction, or as
-/// a whole where constraints must be kept.
+/// Σ + change, with the change reduced where Σ + change would fall below a tenth of Σ = FF': direction by direction, or
+/// as a whole where constraints must be kept.
 fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
     let (size, values, vectors) = symmetric::scaled_eigen(&(root * root.transpose()));
     let largest = values.last().copied().filter(|v| *v > 0.0)?;

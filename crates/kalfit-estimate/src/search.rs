@@ -30,8 +30,8 @@ const MIN_SCORING_RATIO: f64 = 0.7;
 /// Newton's method in ψ steps alone while each step reduces the decrement to less than this fraction of the one before;
 /// otherwise the quadratic model in Σ is tried first.
 const FAST_REDUCTION: f64 = 0.1;
-/// Largest number of mean coordinates and elements of Σ up to which the quadratic model in Σ is tried at every step: it
-/// costs little there.
+/// Largest number of mean coordinates and elements of Σ up to which the quadratic model in Σ is tried at every step: up
+/// to that number the model costs little.
 const CHEAP_MODEL_SIZE: usize = 120;
 /// Where rounding keeps every step from raising ℓ, a decrement of at most this many tolerances is accepted: a millionth
 /// of a standard error by default.
@@ -44,8 +44,8 @@ const PILOT_TOLERANCE: f64 = 1e-2;
 const EM_CHECK_INTERVAL: usize = 16;
 /// Columns of the factor smaller than this (in η) are tried at exactly zero when the search has ended.
 const SNAP_SIZE: f64 = 1e-5;
-/// As `SNAP_SIZE`, but tried once during the search, where the model in Σ finds no step: if only few matrices of a lower
-/// rank meet the constraints, the decrement near them is unreliable.
+/// Columns of the factor smaller than this (in η) are tried at exactly zero once during the search, where the model in
+/// Σ finds no step: if only few matrices of a lower rank meet the constraints, the decrement near them is unreliable.
 const EARLY_SNAP_SIZE: f64 = 1e-3;
 
 /// Where a search begins.
@@ -196,8 +196,8 @@ impl<'a> Search<'a> {
         Ok(self.iterate(point, None).ok())
     }
 
-    /// The start, improved by Fisher scoring while that promises much. ℓ need not rise at every step: where it falls,
-    /// the better point before is returned, which needs no new pass.
+    /// The start, improved by Fisher scoring while scoring promises a large gain. ℓ need not rise at every step: where
+    /// it falls, the better point before is returned, which needs no new pass.
     fn scored_start(&mut self, start: Point) -> Result<NewtonIterate, FitError> {
         let mut best: Option<(Sums, Point)> = None;
         let mut point = start;
@@ -237,7 +237,7 @@ impl<'a> Search<'a> {
         self.try_successor(iterate, next, |next, iterate| wanted && next.local.value > iterate.local.value)
     }
 
-    /// The iterate at a point, where `good` accepts it; the iterate passed in must not be used any more then.
+    /// The iterate at `point` if `good` accepts that iterate; `iterate` must then not be used any more.
     fn try_successor(
         &self,
         iterate: &mut NewtonIterate,
@@ -321,8 +321,8 @@ impl<'a> Search<'a> {
         Ok(Estimate { passes, ..into_estimate(state, certificate, stop, self.trace, self.settings.solver) })
     }
 
-    /// The iterate with the distribution of what no test observes reset to that of the start, where Newton's steps have
-    /// changed it.
+    /// The iterate with the distribution of directions of ξ that no test observes reset to the distribution at the
+    /// start, where Newton's steps have changed that distribution.
     fn restored(&mut self, mut iterate: NewtonIterate, start: &DMatrix<f64>) -> Result<NewtonIterate, FitError> {
         let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
         let Some(root) = unobserved::restored(map, information, start, &iterate.point.root) else { return Ok(iterate) };
@@ -333,8 +333,8 @@ impl<'a> Search<'a> {
         Ok(self.try_successor(&mut iterate, point, fine)?.unwrap_or(iterate))
     }
 
-    /// The iterate with columns of the factor below this size set to zero; `None` where there are none, where ℓ falls,
-    /// or where the decrement exceeds `enough`.
+    /// The iterate with columns of the factor below this size set to zero; `None` where no column is that small, where
+    /// ℓ falls, or where the decrement becomes too large.
     fn with_zero_columns(
         &mut self,
         iterate: &mut NewtonIterate,
@@ -361,7 +361,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Whether ℓ is no lower, apart from rounding.
+/// Whether ℓ at `next` is no lower than at `iterate`, up to rounding.
 fn is_as_good(next: &NewtonIterate, iterate: &NewtonIterate) -> bool {
     next.local.value >= iterate.local.value - 1e-9
 }
@@ -374,7 +374,7 @@ impl Estimate {
     }
 }
 
-/// The certificate of an iterate, with its bound on rounding errors.
+/// The certificate of an iterate, with the bound on rounding errors.
 fn certified(problem: &Problem, iterate: &NewtonIterate) -> Certificate {
     let (certificate, _) = certificate(&problem.covariance, iterate, problem.classes.tests as f64);
     certificate.with_rounding(&rounding(&problem.classes.frame, iterate))

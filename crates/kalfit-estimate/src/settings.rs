@@ -16,9 +16,10 @@ pub enum Criterion {
     /// ℓ(μ, Σ).
     #[default]
     Ml,
-    /// The restricted log-likelihood ℓ_R(Σ) = ℓ(μ̂(Σ), Σ) - ½ log|Σ_j B'W_jB| + ½ q log 2π, with μ = m0 + Bβ in the user's
-    /// units and q = dim β, regression coefficients included; μ̂ is that of generalised least squares. Directions of β that
-    /// no test informs are left out of the determinant (the product of its non-zero eigenvalues is meant) and of q.
+    /// The restricted log-likelihood ℓ_R(Σ) = ℓ(μ̂(Σ), Σ) - ½ log|Σ_j B'W_jB| + ½ q log 2π, with μ = m0 + Bβ in the
+    /// user's units and q = dim β, regression coefficients included; μ̂ is that of generalised least squares.
+    /// Directions of β that no test informs are left out of the determinant (the product of its non-zero eigenvalues is
+    /// meant) and of q.
     Reml,
 }
 
@@ -81,7 +82,7 @@ pub struct Step {
     pub passes: usize,
     /// Log-likelihood after the step.
     pub log_likelihood: f64,
-    /// Newton decrement, where it is known: distance to the optimum in standard errors.
+    /// Newton decrement, if known: distance to the optimum in standard errors.
     pub decrement: Option<f64>,
 }
 

@@ -45,7 +45,7 @@ fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<
     feasible(map, sigma)
 }
 
-/// A root of the highest rank that the structure allows, made from the structure alone.
+/// A root of the highest rank that the structure allows, without data.
 pub fn generic_root(problem: &Problem) -> DMatrix<f64> {
     let map = &problem.covariance;
     let of = |part: &PhaseForm| {
@@ -108,7 +108,8 @@ fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>
     (&map.offset + &map.basis * b, vec![0.0; map.regressors.len()])
 }
 
-/// A variance for each state by moments, as if the states were uncorrelated: Σ_j (y - Jμ)_i² has the mean Σ_j (J + JΣJ)_ii.
+/// A start variance of each state by moments, as if the states were uncorrelated: Σ_j (y - Jμ)_i² has the mean Σ_j (J +
+/// JΣJ)_ii.
 fn variances(classes: &Classes, mean: &DVector<f64>) -> DVector<f64> {
     let p = mean.len();
     let (excess, weight) = classes.excess(mean);

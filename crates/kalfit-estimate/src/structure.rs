@@ -1,5 +1,5 @@
-//! The assumed structure of μ and Σ, phase by phase. Quantities of all phases are concatenated, those of the first
-//! phase first; states of different phases are independent (theory §7).
+//! The assumed structure of μ and Σ, phase by phase. Quantities of all phases are concatenated in the order of the
+//! phases; states of different phases are independent (theory §7).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -14,8 +14,8 @@ use kalfit_model::{Alpha, CovarianceStructure, GroupLevel, MeanElement, MeanStru
 #[derive(Debug, Clone)]
 pub struct Structure<'a> {
     /// The structure of each phase. For a model with levels, the only phase is followed by one entry for each level,
-    /// from the innermost on: for what its groups add to a test's ξ, independent of the phase and of the other levels,
-    /// with mean zero.
+    /// from the innermost on: the structure of the term, of mean zero, that the groups of the level add to ξ of a test.
+    /// The terms of all levels and ξ of the phase are independent.
     pub phases: Vec<PhaseStructure<'a>>,
     /// Parameters that matrices of the covariance structures refer to.
     pub alpha: &'a Alpha,
@@ -54,7 +54,8 @@ impl<'a> Structure<'a> {
         Structure { phases: vec![PhaseStructure { mean: Cow::Borrowed(mean), covariance }], alpha, grouping: None }
     }
 
-    /// p, the number of states of a test's reduction: those of all phases, without those that levels add.
+    /// p, the number of states of the reduction of a test: the states of all phases, without the states that levels
+    /// add.
     pub fn reduced_dimension(&self) -> usize {
         match self.grouping {
             Some(_) => self.phases[0].mean.elements.len(),
@@ -67,7 +68,7 @@ impl<'a> Structure<'a> {
         self.phases.iter().map(|phase| phase.mean.elements.len()).sum()
     }
 
-    /// The range of each phase's elements among those of all phases.
+    /// For each phase, the range of indices of the elements of the phase among the elements of all phases.
     pub fn ranges(&self) -> Vec<Range<usize>> {
         let mut end = 0;
         let range = |phase: &PhaseStructure<'_>| {
@@ -78,7 +79,7 @@ impl<'a> Structure<'a> {
         self.phases.iter().map(range).collect()
     }
 
-    /// The regressions of all phases, on elements of all phases.
+    /// The regressions of all phases, with elements numbered over all phases.
     pub fn regressions(&self) -> Vec<Regression> {
         let of = |(phase, range): (&PhaseStructure<'_>, Range<usize>)| -> Vec<Regression> {
             let moved = |r: &Regression| Regression { element: range.start + r.element, ..r.clone() };

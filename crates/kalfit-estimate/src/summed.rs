@@ -1,4 +1,4 @@
-//! The answers of a place that holds some of the tests: sums over their reductions.
+//! The answers of a place that holds some of the tests: sums over the reductions of these tests.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -27,7 +27,8 @@ use kalfit_model::remote::{Answer, Flat, Law, Place, Question};
 pub struct Summed {
     /// The reductions, one for each test.
     pub reductions: Reductions,
-    /// The reductions of tests in groups, in the states of the test and of each of its groups.
+    /// For tests in groups, the reductions in the states of each test and of each group of the test; `None` without
+    /// groups.
     stacked: Option<Reductions>,
     grouping: Option<Arc<Grouping>>,
     /// p, the number of states of a test.
@@ -102,8 +103,8 @@ impl Summed {
         Some((classes, &self.regressors))
     }
 
-    /// The classes of the tests as if there were no groups, in these coordinates; `None` where the coordinates do not fit
-    /// this model.
+    /// The classes of the tests as if there were no groups, in these coordinates; `None` where the coordinates do not
+    /// fit this model.
     pub fn apart(&mut self, frame: &Frame) -> Option<Cow<'_, Classes>> {
         if self.grouping.is_none() {
             return self.classes(frame).map(|(classes, _)| Cow::Borrowed(classes));
@@ -116,7 +117,7 @@ impl Summed {
         Some(Cow::Owned(Classes::in_frame(&self.reductions, frame, elements, true)))
     }
 
-    /// The distribution of ξ of each test, from the form that is sent; `None` where it does not fit this model.
+    /// The distribution of ξ of each test, from the form that is sent; `None` where the form does not fit this model.
     pub fn law(&mut self, law: &Law) -> Option<InitialLaw> {
         let own = InitialLaw::from_message(law, (self.states, self.regressors.len()))?;
         let Some(given) = &law.given else { return self.grouping.is_none().then_some(own) };

@@ -39,7 +39,7 @@ pub struct Sums {
     pub(super) expected: Products,
     /// Second derivatives of tests in groups, which are no sums over tests.
     pub(super) group_derivatives: Option<GroupDerivatives>,
-    /// ½ Σ tr(W D W E) where a search has ended, in place of the products that it is computed from.
+    /// ½ Σ tr(W D W E) at the end of a search, in place of the products `expected`.
     folded_expected: Option<Folded>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
@@ -78,8 +78,7 @@ impl Sums {
         }
     }
 
-    /// Adds the sums of other tests, times a sign: -1 subtracts them. Products that the other sums do not hold stay as
-    /// they are.
+    /// Adds sign × the sums of other tests. Products that `other` does not hold are unchanged.
     pub(super) fn and(mut self, sign: f64, other: &Sums) -> Sums {
         self.value += sign * other.value;
         self.quadratic += sign * other.quadratic;
@@ -163,7 +162,7 @@ impl Sums {
         self
     }
 
-    /// The covariance of the free mean coordinates, where it is known: evaluations at nearby points may reuse it.
+    /// The covariance of the free mean coordinates, if known: evaluations at nearby points may reuse that matrix.
     pub(crate) fn near(&self) -> Option<&DMatrix<f64>> {
         self.restricted.as_ref().map(|r| &r.covariance)
     }
@@ -182,7 +181,7 @@ impl Sums {
     }
 
     /// G after the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact in one phase without
-    /// regressors; with regressors their part of the shift is ignored. Needs [`Order::Expected`].
+    /// regressors; with regressors, the shift of the regression coefficients is ignored. Needs [`Order::Expected`].
     pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
         let p = self.outer.nrows();
         debug_assert!(self.elements.is_single(), "between phases the sums do not tell");
@@ -202,7 +201,7 @@ impl Sums {
         (outer - &self.weight) * 0.5
     }
 
-    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element stands for both entries of Σ. The matrix is moved
+    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element changes both entries of Σ. The matrix is moved
     /// out of the sums: with many states each such matrix takes most of the available memory.
     pub(crate) fn observed_information(&mut self) -> DMatrix<f64> {
         let curvature = std::mem::replace(&mut self.curvature, Products::zero(&self.elements, false));
@@ -225,7 +224,7 @@ impl Sums {
         }
     }
 
-    /// Expected information of mean coordinates and elements of Σ: no cross terms.
+    /// Expected information on (mean coordinates, elements of Σ), block diagonal.
     pub fn all_expected_information(&self) -> DMatrix<f64> {
         let (m, s) = (self.mean_score.len(), self.elements.count());
         let mut information = DMatrix::zeros(m + s, m + s);
@@ -243,7 +242,7 @@ impl Sums {
         Sums { expected: Products::zero(&self.elements, false), ..self }
     }
 
-    /// The sums with the expected information computed, in half the memory of the products that it is computed from.
+    /// The sums with the expected information computed, in half the memory of the products `expected`.
     pub(super) fn with_folded_expected(mut self) -> Sums {
         if self.folded_expected.is_none() {
             self.folded_expected = Some(match &mut self.group_derivatives {
@@ -256,8 +255,8 @@ impl Sums {
         self.without_expected()
     }
 
-    /// The sums that are needed where a search has ended: of second derivatives by elements of Σ the expected ones
-    /// alone.
+    /// The sums for the end of a search: all second derivatives by elements of Σ are dropped, except the expected
+    /// information.
     pub(super) fn only_expected(mut self) -> Sums {
         self.curvature = Products::zero(&self.elements, false);
         Sums { group_derivatives: None, ..self.with_folded_expected() }
@@ -280,7 +279,7 @@ impl Sums {
     }
 }
 
-/// Adds to both entries of a symmetric matrix.
+/// Adds x to the entries (a, b) and (b, a) of a symmetric matrix, once if a = b.
 fn add_symmetric(matrix: &mut DMatrix<f64>, (a, b): (usize, usize), x: f64) {
     matrix[(a, b)] += x;
     if a != b {
@@ -301,7 +300,8 @@ impl Sums {
         plain.chain(matrices.into_iter().chain(group_derivatives).flatten().copied()).chain(products).collect()
     }
 
-    /// The sums from such a list, with the shapes of these; `None` where the list has another length.
+    /// The sums from a list that `numbers` has made, with the shapes of `self`; `None` where the list has another
+    /// length.
     pub(super) fn of_numbers(mut self, numbers: &[f64]) -> Option<Sums> {
         let matrices = [&mut self.mean_information, &mut self.outer, &mut self.weight, &mut self.spread];
         let group_derivatives =

@@ -1,5 +1,5 @@
 //! The terms of ℓ and its derivatives from one class of tests at a point, for code that handles classes one at a time.
-//! With S = I + RΣR' = LDL', U = L⁻¹R and u = L⁻¹(d - Rμ), they need no inverse of R, J or Σ and no square root:
+//! With S = I + RΣR' = LDL', U = L⁻¹R and u = L⁻¹(d - Rμ), the terms need no inverse of R, J or Σ and no square root:
 //!
 //! ```text
 //! ℓ = constant - ½ log|D| - ½ u'D⁻¹u      W = U'D⁻¹U = (I+JΣ)⁻¹J      r = U'D⁻¹u = (I+JΣ)⁻¹(y - Jμ)
@@ -15,7 +15,7 @@ use crate::point::{Point, Regressors};
 use kalfit_algebra::rows::Rows;
 use kalfit_lanes::Real;
 
-/// The terms of one class at a point, with the workspace for them. Matrices are p × p by rows.
+/// The terms of one class at a point, with the workspace that computes the terms. Matrices are p × p by rows.
 #[derive(Debug)]
 pub struct ClassTerms<'a> {
     at: ClassEvaluator<'a>,
@@ -23,7 +23,7 @@ pub struct ClassTerms<'a> {
     det: (f64, f64),
     /// Σ_j u_j'D⁻¹u_j over the class.
     pub quadratic: f64,
-    /// (I+JΣ)⁻¹(y - Jμ) of the class mean.
+    /// (I+JΣ)⁻¹(y - Jμ) at the mean of d over the class.
     pub r: Vec<f64>,
     /// (I+JΣ)⁻¹J.
     pub(crate) W: Vec<f64>,
@@ -51,8 +51,8 @@ impl<'a> ClassTerms<'a> {
         }
     }
 
-    /// Computes the terms of a class. For tests stored phase by phase `detail` selects them, with zeros elsewhere:
-    /// between phases, or, for posteriors, in all of W and Σ r r'.
+    /// Computes the terms of a class. For tests stored phase by phase, `detail` selects the terms that are computed.
+    /// The rest is zero: W and Σ r r' between phases, or, for posteriors, all of W and Σ r r'.
     pub fn evaluate(&mut self, class: ClassRef<'_>, detail: ChainDetail) {
         if let Some(chain) = class.chain {
             let terms = self.at.in_phases(class, chain, detail);

@@ -1,8 +1,8 @@
-//! What no test observes keeps the distribution that it had at the start (theory §5).
+//! Directions of ξ that no test observes keep the distribution of the start (theory §5).
 //!
-//! Where J_jn = 0 for all tests, ℓ depends only on o = V'ξ, with V spanning the complement. EM leaves the distribution
-//! of ξ given o unchanged; Newton's steps drift along such directions without changing ℓ. With Σ0 the start and K =
-//! Σ0V(V'Σ0V)⁻¹ that distribution is preserved by
+//! Where J_j n = 0 for all tests j, ℓ depends only on o = V'ξ, where V is a basis of the complement of all such n. EM
+//! leaves the distribution of ξ given o unchanged; Newton's steps drift along such directions without changing ℓ. With
+//! Σ0 the start and K = Σ0V(V'Σ0V)⁻¹ that distribution is preserved by
 //!
 //! ```text
 //! Σ = K (V'ΣV) K' + (Σ0 - K (V'Σ0V) K')
@@ -17,7 +17,7 @@ use kalfit_algebra::symmetric;
 const ZERO_INFORMATION: f64 = 1e-10;
 
 /// The root of a Σ with the present distribution of what is observed, and the start's distribution of the rest given
-/// what is observed. `None` where everything is observed, or where constraints tie the rest to it.
+/// what is observed. `None` where everything is observed, or where constraints tie observed and unobserved directions.
 pub(crate) fn restored(
     map: &CovarianceMap,
     information: &DMatrix<f64>,
@@ -46,7 +46,7 @@ pub(crate) fn restored(
     changed.then_some(found)
 }
 
-/// V with orthonormal columns, the directions that are observed; `None` where all are.
+/// V, an orthonormal basis (columns) of the observed directions; `None` where all directions are observed.
 fn observed(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let range = symmetric::range(information, |value| value >= ZERO_INFORMATION);
     (range.ncols() < information.nrows()).then_some(range)

@@ -1,4 +1,4 @@
-//! Benches of instruments that searches and their intervals are tested on.
+//! Models and tests of instruments, for tests of searches and intervals.
 
 use kalfit_model::{Initial, Label, Labels, Motion, PhasedModel, PhasedTest, Source, Test, Value};
 
@@ -15,7 +15,8 @@ pub const NOISE: usize = 2;
 /// The parameter that multiplies u².
 pub const SLOPE: usize = 3;
 
-/// z = bias + scale u + drift + slope u² + noise; the noise level is the sensor's. Columns: time, z, u; text column: sensor.
+/// z = bias + scale u + drift + slope u² + noise, with one noise level per sensor, or per test if `per_test`. Columns:
+/// t, z, u; text columns: sensor, test.
 pub fn model(per_test: bool) -> PhasedModel {
     let terms = vec![(0, number(1.0)), (1, column(2)), (2, number(1.0))];
     let equation = linear(terms, times(alpha(SLOPE), square(column(2))));
@@ -34,7 +35,7 @@ pub fn model(per_test: bool) -> PhasedModel {
     by_hand::model(names, parameters, states, vec![meter("z", 1, equation, square(alpha(NOISE)))]).into()
 }
 
-/// Tests of [`model`], the same on every machine; every third has one row more, every third two.
+/// Tests of [`model`], the same on every machine. Test j has `rows` + j mod 3 rows.
 pub fn ensemble(model: &PhasedModel, tests: usize, rows: usize) -> (Labels, Vec<PhasedTest>) {
     let (mut random, mut labels) = (Lcg(5), Labels::new(&model.shared().literals));
     let mut all = Vec::new();
@@ -59,7 +60,7 @@ pub fn ensemble(model: &PhasedModel, tests: usize, rows: usize) -> (Labels, Vec<
     (labels, all)
 }
 
-/// [`model`] with one free value: all noise, drift and measurement, is so many times it.
+/// [`model`] with one free value σ: the measurement noise has the variance σ², the drift noise 3σ²/τ per unit of time.
 pub fn scaled_model() -> PhasedModel {
     let mut model = model(false);
     let only = &mut model.phases[0].model;
@@ -74,7 +75,8 @@ pub fn scaled_model() -> PhasedModel {
     model
 }
 
-/// z = bias + one + two + noise, the two processes of one kind. Values: tau, sigma, rest, spread, noise.
+/// z = bias + one + two + noise, with two Gauss-Markov processes. Parameters: time constant `tau` and standard
+/// deviation `sigma` of `one`, `rest` and `spread` of `two`, standard deviation `noise` of the noise.
 pub fn twins() -> PhasedModel {
     let equation = linear(vec![(0, number(1.0)), (1, number(1.0)), (2, number(1.0))], number(0.0));
     let names = ["tau", "sigma", "rest", "spread", "noise"];
@@ -93,7 +95,8 @@ pub fn twins() -> PhasedModel {
     .into()
 }
 
-/// Tests with a bias, processes of these time constants and sizes, and noise of this size.
+/// Tests of z = bias + processes + noise, with `rows` rows at unit steps: Gauss-Markov processes of the given (time
+/// constant, standard deviation), and white noise of standard deviation `noise`.
 pub fn with_processes(processes: &[(f64, f64)], noise: f64, (tests, rows): (usize, usize)) -> Vec<PhasedTest> {
     let mut random = Lcg(5);
     let mut one = |j: usize| {

@@ -1,4 +1,4 @@
-//! Models for unit tests, put together by hand.
+//! Models for unit tests, built by hand.
 
 use std::collections::BTreeMap;
 

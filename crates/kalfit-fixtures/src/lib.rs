@@ -1,6 +1,7 @@
-//! What the tests of several crates share: models put together by hand, random numbers, slopes by differences.
+//! Fixtures for the tests of several crates: models built by hand, random numbers, and slopes by differences.
 //!
-//! The crate stands on `kalfit-model` alone, so that every crate above may use it in its tests.
+//! The crate depends on `kalfit-model` alone, so that the tests of every crate above `kalfit-model` can use the
+//! fixtures.
 
 pub mod bench;
 pub mod by_hand;

@@ -1,4 +1,4 @@
-//! Constraints: the sensitivity dℓ_max/d(value) of each, and its score test (theory §4).
+//! Sensitivity dℓ_max/d(value) and score test of each constraint (theory §4).
 
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -15,15 +15,16 @@ use kalfit_model::MeanElement;
 pub struct Sensitivity {
     /// The element.
     pub element: Element,
-    /// Value at which it is fixed.
+    /// Value at which the element is held.
     pub value: f64,
     /// dℓ_max / d value; an off-diagonal element moves in both triangles.
     pub sensitivity: f64,
-    /// Score statistic; `None` where freeing only this element makes no sense, or where there is no information on it.
+    /// Score statistic; `None` where freeing only this element makes no sense, or where the data have no information on
+    /// the element.
     pub statistic: Option<f64>,
     /// p-value of the statistic: χ² with one degree of freedom, one-sided for a variance held at zero.
     pub p_value: Option<f64>,
-    /// By how much the element would change if it were free, to first order.
+    /// Change of the element when freed, to first order.
     pub expected_change: Option<f64>,
 }
 
@@ -51,7 +52,7 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     found
 }
 
-/// Whether some element is held by a constraint, so that there is something to test.
+/// Whether a constraint holds some element of μ or Σ.
 pub fn holds_any(state: &FinalState) -> bool {
     let fixed = |element: &MeanElement| matches!(element, MeanElement::Fixed(_));
     state.structure().elements().iter().any(fixed)
@@ -60,9 +61,9 @@ pub fn holds_any(state: &FinalState) -> bool {
 
 /// What holds an element of Σ.
 enum HeldElement {
-    /// A constraint with this Lagrange multiplier, in η.
+    /// A constraint, with the Lagrange multiplier in η.
     Multiplier(f64),
-    /// The form of Σ: a fixed Σ, or a zero outside its blocks.
+    /// The form of Σ: a fixed Σ, or a zero outside the blocks of Σ.
     Form,
 }
 
@@ -84,7 +85,7 @@ fn held(state: &FinalState, i: usize, j: usize) -> Option<HeldElement> {
     }
 }
 
-/// Sensitivity of a fixed element of the mean; elements tied to it move with it.
+/// Sensitivity of a fixed element of the mean; elements tied to the fixed element move along.
 fn of_mean(
     state: &FinalState,
     law: &AsymptoticLaw<'_>,
@@ -133,7 +134,7 @@ fn of_covariance(
     let own = local.information[(k, k)] * unit * unit;
     let value = estimate.covariance[(i, j)];
     let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
-    let can_be_freed = i == j || !(zero(i) || zero(j)); // a covariance cannot be freed while one of its variances is zero
+    let can_be_freed = i == j || !(zero(i) || zero(j)); // σ_ij cannot be freed while σ_ii or σ_jj is zero
     let one_sided = i == j && value == 0.0;
     let column = local.mean_score.len() + k;
     let lost_information = lost_information(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
@@ -146,9 +147,9 @@ fn of_covariance(
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
 }
 
-/// I_ez I_zz⁻¹ I_ze: information on an element that the free coordinates absorb as they adapt, those of α included
-/// where the joint information is known. `mean` and `sigma` are the element's cross information with mean coordinates
-/// and elements of Σ; `of_alpha` extracts its cross information with α.
+/// I_ez I_zz⁻¹ I_ze: information on an element that is lost because the free coordinates adapt: the coordinates of (μ,
+/// Σ), and of α where the joint information is known. `mean` and `sigma` are the element's cross information with mean
+/// coordinates and elements of Σ; `of_alpha` extracts the element's cross information with α.
 fn lost_information(
     state: &FinalState,
     law: &AsymptoticLaw<'_>,
@@ -168,8 +169,8 @@ fn lost_information(
     }
 }
 
-/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): squared score of the element over its variance once the free coordinates have
-/// adapted. `own` is I_ee, `information` is the denominator.
+/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): squared score of the element, divided by the variance of the score after the free
+/// coordinates have adapted. `own` is I_ee, `information` is the denominator.
 fn score_test(score: f64, own: f64, information: f64, one_sided: bool) -> Sensitivity {
     if information.is_nan() || information <= 1e-10 * own.abs() {
         return without_test(score);

@@ -1,7 +1,7 @@
 //! Exact deletion: the fit without one test, and how well that fit predicts the test (theory §9).
 //!
 //! The reductions are in memory, so the fit without test j costs a few Newton steps from the optimum of all tests. The
-//! first step needs no pass: the sums over the others are the sums over all less the terms of the test.
+//! first step needs no pass: the sums over the other tests are the sums over all tests minus the terms of test j.
 
 use nalgebra::DMatrix;
 
@@ -21,19 +21,19 @@ use kalfit_model::Population;
 pub struct Deletion {
     /// μ, Σ and regression coefficients without the test.
     pub estimate: Population,
-    /// log p of the test's measurements at that estimate: its predictive density.
+    /// log p of the test's measurements at `estimate`: the predictive density.
     pub log_density: f64,
-    /// Distance of the test from the population that the others describe.
+    /// Distance of the test from the population that the other tests describe.
     pub distance: Distance,
-    /// 2 (ℓ(θ̂) - ℓ(θ̂₋ⱼ)), ℓ of all tests: how far the test pulls the estimate (Cook's likelihood displacement).
+    /// 2 (ℓ(θ̂) - ℓ(θ̂₋ⱼ)), ℓ over all tests: influence of the test on the estimate (Cook's likelihood displacement).
     pub displacement: f64,
 }
 
 /// Most Newton steps of one deletion before a full search takes over.
 const MAX_NEWTON_STEPS: usize = 12;
 
-/// The fit without each test, where tests stand in no groups, in the order of the reductions. An entry is `None` where
-/// the other tests have no certified optimum, and for the only test; the whole is `None` once `progress` stops.
+/// The fit without each test, for tests without groups, in the order of the reductions. An entry is `None` where the
+/// other tests have no certified optimum, and for the only test; the result is `None` once `progress` stops.
 pub(super) fn ungrouped(
     estimate: &Estimate,
     reductions: &Reductions,
@@ -53,12 +53,11 @@ pub(super) fn ungrouped(
     progress.each(reductions.len(), without)
 }
 
-/// Rough number of multiplications that [`deletions`](super::deletions) takes: the passes of its steps, and the work
-/// with their Hessians.
+/// Rough number of multiplications that [`deletions`](super::deletions) takes: the passes of all Newton steps, and the
+/// factorisations of the Hessians.
 pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
     let (p, free) = (estimate.mean.len() as f64, estimate.state.newton_iterate.tangent.basis.ncols() as f64);
-    // where tests stand in groups there are no shortcuts: full fits without each test and each group, from near their
-    // optima
+    // tests in groups have no shortcut: a full fit without each test and each group, from a start near the optimum
     let each = if estimate.grouping().is_some() { 60.0 } else { 3.0 };
     each * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
 }
@@ -111,7 +110,8 @@ impl Objective for Without<'_> {
     }
 }
 
-/// Newton steps from the optimum of all tests; `None` where they do not end certified.
+/// The optimum without test j, by Newton steps from the optimum of all tests; `None` where no certified optimum is
+/// reached.
 fn climb_without(estimate: &Estimate, all: &AllTests, (reductions, j): (&Reductions, usize)) -> Option<OtherTests> {
     let state = &estimate.state;
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
@@ -127,8 +127,8 @@ fn climb_without(estimate: &Estimate, all: &AllTests, (reductions, j): (&Reducti
     (stop == Stop::Certified).then_some(OtherTests { point: iterate.point, log_likelihood })
 }
 
-/// A search without some tests, from the optimum of all: its optimum in the coordinates of the full fit, and the
-/// reductions of the remaining tests.
+/// Searches without the `removed` tests, from the optimum of all tests; returns the optimum in the coordinates of the
+/// full fit, and the reductions of the remaining tests.
 pub(super) fn search_without(
     estimate: &Estimate,
     reductions: &Reductions,

@@ -2,9 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Eigenvalues of an information, scaled to unit diagonal, below this are treated as zero.
+/// Eigenvalues of an information matrix, scaled to unit diagonal, below this threshold count as zero.
 pub(crate) const ZERO_EIGENVALUE: f64 = 1e-10;
-/// An element whose weight is below this fraction of the largest, in natural sizes, is not part of a direction.
+/// An element whose weight, in natural sizes, is below this fraction of the largest weight is not part of a direction.
 const MIN_WEIGHT: f64 = 1e-6;
 
 /// The quantity that a direction belongs to: μ or Σ.
@@ -12,13 +12,13 @@ const MIN_WEIGHT: f64 = 1e-6;
 pub enum Quantity {
     /// Directions of μ; entries by element, then by regression coefficient where there are any.
     Mean,
-    /// Directions of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of the first phase, then those of the next
-    /// phases.
+    /// Directions of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of the first phase, then by element of each
+    /// next phase.
     Covariance,
 }
 
-/// A direction without information: a unit vector in the user's units. Exactly the entries that are not zero take part
-/// in it, however small they are: a scale factor of 1e-6 may take part together with a bias of 1.
+/// A direction without information: a unit vector in the user's units. Exactly the elements with a non-zero entry take
+/// part in the direction, however small the entry: a scale factor of 1e-6 may take part together with a bias of 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Direction {
     /// The quantity: μ or Σ.
@@ -27,8 +27,8 @@ pub struct Direction {
     pub direction: Vec<f64>,
 }
 
-/// A basis of the same span with many zeros, by Gauss-Jordan elimination with complete pivoting. Without it, several
-/// unobserved directions would be arbitrary mixtures that tell a reader little.
+/// A basis of the span of `basis` with many zeros, by Gauss-Jordan elimination with complete pivoting; eigenvectors of
+/// several unobserved directions are arbitrary mixtures of these directions.
 pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
     for c in 0..basis.ncols() {
         let (mut at, mut largest) = ((0, c), 0.0);
@@ -51,7 +51,7 @@ pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// Converts a direction from natural sizes to the user's units; `units` has the natural size of each element in the
-/// user's units. Entries that take no part become zero, the length is one, the largest entry positive.
+/// user's units. Entries below [`MIN_WEIGHT`] become zero, the length is 1, and the largest entry is positive.
 pub(crate) fn in_units<'u>(natural: &DVector<f64>, units: impl Iterator<Item = &'u f64>) -> Vec<f64> {
     let least = MIN_WEIGHT * natural.amax();
     let kept = natural.iter().zip(units).map(|(x, unit)| if x.abs() > least { x * unit } else { 0.0 });

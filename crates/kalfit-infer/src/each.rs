@@ -15,7 +15,7 @@ pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Posteriors {
     estimated(estimate, reductions).0
 }
 
-/// Posteriors of the tests, and of the groups of each level, the innermost first, at an estimate.
+/// Posteriors of the tests, and of the groups of each level from the innermost on, at an estimate.
 pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
     let (problem, point) = (&estimate.state.problem, &estimate.state.newton_iterate.point);
     match estimate.grouping() {
@@ -24,8 +24,8 @@ pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Poster
     }
 }
 
-/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Where
-/// tests stand in groups, the reductions are in the per-test effect and the effects of the test's groups.
+/// Posteriors of all tests, in the order of the reductions, and of the groups of each level from the innermost on, at
+/// any point. For tests in groups, the reductions are in the per-test effect and the effects of the test's groups.
 pub fn posteriors_at(
     problem: &Problem,
     point: &Point,
@@ -41,7 +41,7 @@ pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Del
     deletions_while(estimate, reductions, &SharedProgress::new(&mut Silent, None)).unwrap_or_default()
 }
 
-/// As [`deletions`]; `None` once `progress` stops.
+/// The fit without each test as from [`deletions`]; `None` once `progress` stops.
 pub fn deletions_while(
     estimate: &Estimate,
     reductions: &Reductions,

@@ -1,29 +1,30 @@
-//! Ends of profile intervals: values where the maximum of ℓ with one quantity held has fallen by as much as the
-//! interval allows.
+//! Ends of profile intervals: values where the maximum of ℓ with one quantity held is below the overall maximum by as
+//! much as the interval allows.
 
 use crate::held::Held;
 use crate::progress::SharedProgress;
 
 /// Most evaluations of the profile for one end.
 const MAX_EVALUATIONS: usize = 30;
-/// Number of evaluations after which every second one halves the bracket: where branches change, slopes mislead.
+/// Number of evaluations after which every second one halves the bracket: where the highest branch changes, Newton
+/// steps fail.
 const BISECT_AFTER: usize = 8;
-/// Where the profile jumps, the jump is located to this fraction of its distance from the estimate.
+/// Where the profile jumps, the jump is located to this fraction of the jump's distance from the estimate.
 const JUMP_TOLERANCE: f64 = 1e-3;
 
 /// Finds maxima with one quantity held.
 pub(crate) trait Holds: Sync {
     /// Absolute tolerance of ζ, the root of the deviance, at an end.
     const PRECISION: f64;
-    /// Whether a quantity can be held at its limits, and not only near them.
+    /// Whether a quantity can be held at a limit, not only near the limit.
     const ATTAINS_LIMITS: bool = false;
     /// A quantity that can be held.
     type What: Copy + Sync;
     /// The start of a search for a maximum: another maximum nearby.
     type Near: Clone + Sync;
-    /// The maximum with `what` held at `value`. `None` where no certified one is found.
+    /// The maximum with `what` held at `value`. `None` where the search ends without a certified maximum.
     fn held(&self, what: Self::What, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
-    /// Whether the maximum is on a branch that was not known when values further out were found too unlikely.
+    /// Whether the maximum is on a branch that was unknown when values further out were rejected as too unlikely.
     fn is_on_new_branch(_near: &Self::Near) -> bool {
         false
     }
@@ -39,21 +40,21 @@ pub(crate) struct Profile<'a, 'p, H: Holds> {
     pub(crate) centre: f64,
     /// ℓ at the estimate.
     pub(crate) maximum: f64,
-    /// An interval holds the values whose ℓ_max is within half the square of this of the maximum.
+    /// q: an interval holds the values with ℓ_max(x) ≥ `maximum` - ½q².
     pub(crate) quantile: f64,
-    /// Values beyond which the quantity cannot go.
+    /// Lower and upper limit of the quantity; `None` for an unlimited side.
     pub(crate) limits: [Option<f64>; 2],
-    /// Receives which end is computed; once it stops, ends are `None`.
+    /// Receives which end is computed; once `progress` stops, ends are `None`.
     pub(crate) progress: &'a SharedProgress<'p>,
 }
 
 impl<H: Holds> Profile<'_, '_, H> {
-    /// Both ends, with a first step of length `step` to each side; `None` where one is not found.
+    /// Both ends, with a first step of length `step` to each side; `None` where an end is not found.
     pub(crate) fn ends(&self, start: &H::Near, step: f64) -> Option<[f64; 2]> {
         Some([self.end(start, -step)?, self.end(start, step)?])
     }
 
-    /// ζ = √(2(ℓ_max - ℓ_max(x))) and its derivative away from the centre.
+    /// ζ = √(2(ℓ_max - ℓ_max(x))), the derivative of ζ away from the centre, and the maximum at x.
     fn root(&self, x: f64, near: &H::Near, sign: f64) -> Option<(f64, f64, Held<H::Near>)> {
         let held = self.holder.held(self.what, x, near)?;
         let zeta = (2.0 * (self.maximum - held.value)).max(0.0).sqrt();
@@ -61,8 +62,8 @@ impl<H: Holds> Profile<'_, '_, H> {
         Some((zeta, slope, held))
     }
 
-    /// The value where ζ reaches or jumps over the quantile, or the limit if ζ stays below up to there: Newton's method
-    /// inside a bracket, with the exact slope from the Lagrange multiplier.
+    /// The value where ζ reaches or jumps over the quantile, or the limit if ζ is below the quantile up to the limit:
+    /// Newton's method inside a bracket, with the exact slope from the Lagrange multiplier.
     pub(crate) fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
         let sign = step.signum();
         let limit = self.limits[usize::from(sign > 0.0)];
@@ -71,7 +72,7 @@ impl<H: Holds> Profile<'_, '_, H> {
         }
         self.progress.report_end(&self.name, sign > 0.0);
         let mut near = start.clone();
-        // `is_unlikely`: ζ at `above` exceeds the quantile, as opposed to no certified maximum there
+        // `is_unlikely`: ζ at `above` exceeds the quantile, as opposed to no certified maximum at `above`
         let (mut below, mut above, mut is_unlikely) = (self.centre, f64::INFINITY * sign, false);
         let mut x = self.inside(self.centre + step, self.centre, limit, sign);
         for tries in 1..=MAX_EVALUATIONS {
@@ -79,7 +80,7 @@ impl<H: Holds> Profile<'_, '_, H> {
                 return None;
             }
             let Some((zeta, slope, held)) = self.root(x, &near, sign) else {
-                (above, is_unlikely) = (x, false); // no certified maximum at x: try nearer
+                (above, is_unlikely) = (x, false); // no certified maximum at x: halve the distance to `below`
                 x = 0.5 * (below + x);
                 continue;
             };
@@ -125,7 +126,8 @@ impl<H: Holds> Profile<'_, '_, H> {
         }
     }
 
-    /// `x`, or the limit if `x` is beyond it; where limits cannot be attained, nine tenths of the way to the limit.
+    /// `x`, or the limit if `x` is beyond the limit; where limits cannot be attained, nine tenths of the way to the
+    /// limit.
     fn inside(&self, x: f64, below: f64, limit: Option<f64>, sign: f64) -> f64 {
         match limit {
             Some(limit) if sign * (x - limit) >= 0.0 && H::ATTAINS_LIMITS => limit,

@@ -1,6 +1,6 @@
 //! Kinds of numbers that can be estimated.
 
-/// One number that was estimated.
+/// An estimated quantity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Estimated {
     /// An element of μ.
@@ -9,6 +9,6 @@ pub enum Estimated {
     Coefficient(usize),
     /// An element of Σ, i ≥ j.
     Covariance(usize, usize),
-    /// A free value of α, by its slot.
+    /// A free value of α, by slot.
     Value(usize),
 }

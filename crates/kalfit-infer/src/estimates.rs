@@ -19,13 +19,14 @@ pub struct EstimateCovariance {
     pub at_zero: Vec<Estimated>,
 }
 
-/// Number of estimates up to which their covariance is reported.
+/// Largest number of estimates whose covariance is reported.
 const MAX_ESTIMATES: usize = 200;
-/// A quantity whose derivatives, in η, are all at most this is fixed.
+/// A quantity is fixed if no derivative of the quantity, in η, exceeds this threshold.
 const FIXED_DERIVATIVE: f64 = 1e-12;
 
 impl AsymptoticLaw<'_> {
-    /// Covariance of all estimates; `None` where there are very many. `is_open`: whether the data do not determine one.
+    /// Covariance of all estimates; `None` for more than [`MAX_ESTIMATES`], or where an entry is not finite. `is_open`:
+    /// whether the data do not determine a quantity.
     pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
         let joint = self.state.joint.as_ref();
         let empty = DMatrix::zeros(0, 0);

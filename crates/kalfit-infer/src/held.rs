@@ -1,4 +1,4 @@
-//! The maximum of ℓ with one quantity held at a value, from which profile likelihoods are made.
+//! The maximum of ℓ with one quantity held at a value: a point of a profile likelihood.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,7 +12,7 @@ use kalfit_estimate::{
 
 /// A maximum with one quantity held: a point of the profile.
 pub(crate) struct Held<N> {
-    /// Location of the maximum, from which a search for another one nearby may start.
+    /// Location of the maximum: the start of a search for the maximum with a nearby value held.
     pub(crate) near: N,
     /// ℓ_max with the quantity held.
     pub(crate) value: f64,
@@ -24,17 +24,17 @@ pub(crate) struct Held<N> {
 pub(crate) type HeldMaximum = Held<NewtonIterate>;
 
 impl HeldMaximum {
-    /// The same maximum with its point only.
+    /// This maximum without the iterate, only with the point.
     pub(super) fn point(self) -> Held<Point> {
         Held { near: self.near.point, value: self.value, slope: self.slope }
     }
 }
 
-/// Precision of a held maximum, in standard errors: ℓ is then right to half the square of this.
+/// Precision t of a held maximum, in standard errors: the error of ℓ is then ½t².
 const TOLERANCE: f64 = 1e-7;
 /// Most Newton steps of one climb.
 const MAX_CLIMB_STEPS: usize = 40;
-/// Most fixed-point iterations of the linearised constraint on a correlation.
+/// Most fixed-point iterations for a held correlation, each with a linear constraint.
 const MAX_CORRELATION_ITERATIONS: usize = 30;
 
 /// ℓ with the free mean coordinates restricted to the span of `directions`.
@@ -72,7 +72,7 @@ impl<'a> Holder<'a> {
         Holder { state, law: AsymptoticLaw::new(state), limits: ClimbLimits { tolerance, steps: MAX_CLIMB_STEPS } }
     }
 
-    /// The maximum with `what` held at `value`, from a point nearby. `None` where no certified one is found.
+    /// The maximum with `what` held at `value`, from a point nearby. `None` where no certified maximum is found.
     pub(crate) fn maximum(&self, what: Holdable, value: f64, near: &Point) -> Option<HeldMaximum> {
         let frame = &self.state.problem.classes.frame;
         match what {
@@ -101,7 +101,8 @@ impl<'a> Holder<'a> {
         }
     }
 
-    /// The maximum with weights'(μ, γ) held at `value`, in the user's units. `None` where no certified one is found.
+    /// The maximum with weights'(μ, γ) held at `value`, in the user's units. `None` where no certified maximum is
+    /// found.
     pub(crate) fn combination(&self, weights: &DVector<f64>, value: f64, near: &Point) -> Option<HeldMaximum> {
         let problem = &self.state.problem;
         let row = problem.mean.jacobian().transpose() * self.scaled(weights);
@@ -115,7 +116,8 @@ impl<'a> Holder<'a> {
         weights.component_mul(&DVector::from_vec(self.state.problem.mean_units()))
     }
 
-    /// The maximum with row'(b, γ) moved by `shift` and held; `unit` is one unit of row'(b, γ) in the user's units.
+    /// The maximum with row'(b, γ) held at the value at `near` plus `shift`; `unit` is one unit of row'(b, γ) in the
+    /// user's units.
     fn mean(&self, row: &DVector<f64>, unit: f64, shift: f64, near: &Point) -> Option<HeldMaximum> {
         let (problem, n) = (&*self.state.problem, row.len());
         let size = row.norm_squared();
@@ -148,7 +150,7 @@ impl<'a> Holder<'a> {
     }
 
     /// Holds σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: at that t the two constraints
-    /// have the same value and the same gradient, so a fixed point in t is the maximum on the curved constraint.
+    /// have equal values and equal gradients, so a fixed point in t is the maximum on the curved constraint.
     fn correlation(&self, (i, j): (usize, usize), rho: f64, near: &Point) -> Option<HeldMaximum> {
         let mut near = near.clone();
         let ratio = |point: &Point| {
@@ -178,8 +180,9 @@ impl<'a> Holder<'a> {
     }
 }
 
-/// A root F that nearly meets the last constraint: where that holds a variance, its row and column of Σ are scaled to
-/// the value, which keeps the correlations. A variance of zero is set to the value, since no step along F leaves zero.
+/// A root F that nearly meets the last constraint: where the constraint holds a variance, the row and column of Σ are
+/// scaled so that the variance has the value, which keeps the correlations. A variance of zero is set to the value,
+/// since no step along F moves a variance from zero.
 fn start_root(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
     let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
     let &[(i, k, _)] = &terms[..] else { return near.root.clone() };

@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 pub enum Holdable {
     /// An element of μ.
     Mean(usize),
-    /// A regression coefficient, by its index.
+    /// A regression coefficient, by index.
     Coefficient(usize),
     /// A standard deviation: the square root of a variance in Σ.
     StdDev(usize),
@@ -18,7 +18,7 @@ pub enum Holdable {
 }
 
 impl Holdable {
-    /// Value of the quantity at given μ, regression coefficients and Σ; `None` for a correlation with a variance of
+    /// Value of the quantity at given μ, regression coefficients and Σ; `None` for a correlation where σ_ii or σ_jj is
     /// zero.
     pub fn value(self, mean: &[f64], coefficients: &[f64], sigma: &DMatrix<f64>) -> Option<f64> {
         match self {
@@ -37,20 +37,20 @@ impl Holdable {
 /// One entry for each quantity, by kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Quantities<T> {
-    /// Entries of the elements of μ (p).
+    /// One entry for each element of μ (p).
     pub mean: Vec<T>,
-    /// Entries of the regression coefficients.
+    /// One entry for each regression coefficient.
     pub coefficients: Vec<T>,
-    /// Entries of the standard deviations (p).
+    /// One entry for each standard deviation (p).
     pub std_dev: Vec<T>,
-    /// Entries of the elements of Σ (p × p).
+    /// One entry for each element of Σ (p × p).
     pub covariance: Vec<Vec<T>>,
-    /// Entries of the correlations (p × p).
+    /// One entry for each correlation (p × p).
     pub correlation: Vec<Vec<T>>,
 }
 
 impl<T: Copy> Quantities<T> {
-    /// The same entry for every quantity, with p elements of μ and this number of regression coefficients.
+    /// The entry `one` for every quantity, with p elements of μ and `coefficients` regression coefficients.
     pub(crate) fn all(one: T, p: usize, coefficients: usize) -> Quantities<T> {
         Quantities {
             mean: vec![one; p],

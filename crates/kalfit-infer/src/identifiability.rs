@@ -1,8 +1,8 @@
 //! Directions of μ and Σ that the ensemble does not determine (theory §5).
 //!
-//! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on the free directions of both, with
-//! μ_j = E_j(μ, γ). For Σ: the null space of the expected information ½ Σ_j tr(W_j D W_j E) on the free
-//! directions of Σ.
+//! For (μ, γ), with the regression coefficients γ: the null space of Σ_j E_j'J_jE_j on the free directions of (μ, γ),
+//! with μ_j = E_j(μ, γ). For Σ: the null space of the expected information ½ Σ_j tr(W_j D W_j E) on the free directions
+//! of Σ.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -20,7 +20,7 @@ use kalfit_estimate::{
 };
 use kalfit_filter::reduce::Reductions;
 
-/// An element whose weight is below this fraction of the largest is not part of a direction that was found by
+/// An element whose weight is below this fraction of the largest weight is not part of a direction computed by
 /// differences.
 const MIN_DIFFERENCED_WEIGHT: f64 = 1e-3;
 
@@ -33,7 +33,7 @@ pub struct Examination {
     pub explanations: Vec<Explanation>,
     /// Which tests inform and observe each state.
     pub observability: Observability,
-    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    /// Which directions enter at which phase; empty where the reductions are not stored phase by phase.
     pub phases: Vec<PhaseObservability>,
 }
 
@@ -61,13 +61,13 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
     found
 }
 
-/// Whether two directions are the same but for rounding.
+/// Whether two directions are equal but for rounding.
 fn is_same(one: &Direction, other: &Direction) -> bool {
     let mut pairs = one.direction.iter().zip(&other.direction);
     one.quantity == other.quantity && pairs.all(|(a, b)| (a - b).abs() < MIN_DIFFERENCED_WEIGHT)
 }
 
-/// How mean and covariance move along directions of dynamic parameters in which ℓ does not change.
+/// Directions of μ and Σ that belong to directions of dynamic parameters along which ℓ does not change.
 fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
     let Some(joint) = state.joint.as_ref().filter(|joint| !joint.flat.is_empty()) else { return Vec::new() };
     let law = AsymptoticLaw::new(state);
@@ -102,7 +102,7 @@ fn examination(
     phases: Vec<PhaseObservability>,
 ) -> Examination {
     let unidentified = directions(problem, point, sums);
-    // for observability, tests in groups are taken as if each stood alone
+    // for observability, tests in groups are treated as independent tests
     let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, point, reductions));
     let (of, point, seen) = match &alone {
         Some((alone, point)) => (alone, point, reductions),
@@ -120,7 +120,7 @@ pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
     directions(&state.problem, &state.newton_iterate.point, &state.sums)
 }
 
-/// Directions of μ (with its regression coefficients) and of Σ that the data do not determine, in the user's units.
+/// Directions of (μ, regression coefficients) and of Σ that the data do not determine, in the user's units.
 pub fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Direction> {
     let chart = problem.covariance.chart(&point.root);
     let free = problem.covariance.free_directions(&chart);
@@ -130,7 +130,8 @@ pub fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Directio
     found
 }
 
-/// Directions of the covariance of a level with only one group, whose effect cannot be separated from the mean.
+/// Directions of the covariance of a level with only one group: the effect of this group cannot be separated from the
+/// mean.
 fn of_single_groups(problem: &Problem, free: &[f64]) -> Vec<Direction> {
     let elements = &problem.covariance.elements;
     let alone = |&e: &usize| {
@@ -178,9 +179,9 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
 }
 
 /// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A single
-/// coordinate is such a direction when its information, in steps of its size, is negligible against that of the
-/// best-known coordinate and against `elsewhere`. The information is computed twice rather than held: for many states
-/// it would take most of the memory.
+/// coordinate is such a direction when diagonal entry × size² of the information is negligible against the largest such
+/// number of all coordinates and against `elsewhere`. The information is computed twice rather than stored: for many
+/// states a copy would take most of the memory.
 fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
     let mut scaled = information();
     let (n, diagonal) = (scaled.nrows(), scaled.diagonal());

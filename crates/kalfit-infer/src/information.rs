@@ -13,13 +13,13 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, FinalState, PhaseForm};
 use kalfit_filter::reduce::Reductions;
 
-/// A squared correlation that differs from one by at most this is one.
+/// A squared correlation of at least 1 minus this tolerance counts as 1.
 const CORRELATION_ONE_TOLERANCE: f64 = 1e-6;
-/// Eigenvalues of a correlation matrix up to this are treated as zero.
+/// Eigenvalues of a correlation matrix up to this threshold count as zero.
 const SINGULAR_EIGENVALUE: f64 = 1e-11;
 
 /// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, a variance of zero or a
-/// correlation of one. Where Σ is singular, standard errors are those among matrices of its rank.
+/// correlation of one. Where Σ is singular, standard errors are for the estimation among matrices with the rank of Σ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
     /// Standard error of each quantity.
@@ -41,7 +41,7 @@ pub struct Boundary {
     pub zero_variances: Vec<usize>,
 }
 
-/// Whether a quantity takes part in an unidentified direction.
+/// Whether element k of μ or Σ takes part in an unidentified direction.
 fn takes_part(unidentified: &[Direction], quantity: Quantity, k: usize) -> bool {
     unidentified.iter().any(|d| d.quantity == quantity && d.direction[k] != 0.0)
 }
@@ -81,7 +81,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool>
     }
 }
 
-/// Standard errors at an estimate, which was made from `reductions`; only the sandwich uses these.
+/// Standard errors at an estimate; `reductions`: the reductions of the estimate, which only the sandwich uses.
 pub fn uncertainty(
     estimate: &Estimate,
     reductions: &Reductions,
@@ -118,7 +118,7 @@ pub(super) fn uncertainty_of(
 }
 
 /// Standard errors from the information in a state of the estimator, at the end of a search or at any other point;
-/// `sigma` is Σ of that state, in the user's units.
+/// `sigma` is Σ of `state`, in the user's units.
 pub fn uncertainty_at(state: &FinalState, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
     uncertainty_by(&AsymptoticLaw::new(state), sigma, unidentified, SingularBlock::Nothing)
 }
@@ -126,9 +126,9 @@ pub fn uncertainty_at(state: &FinalState, sigma: &DMatrix<f64>, unidentified: &[
 /// Which standard errors a singular block of Σ gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum SingularBlock {
-    /// Standard errors on the face of the cone that contains the estimate: among matrices of its rank.
+    /// Standard errors on the face of the cone that contains the estimate: among matrices with the rank of the block.
     Face,
-    /// No standard errors: where Σ is assumed, not estimated, its estimates will lie off the face.
+    /// No standard errors: where Σ is assumed, not estimated, estimates of Σ will not be on the face.
     Nothing,
 }
 
@@ -149,7 +149,7 @@ fn uncertainty_by(
     };
     let elements = &map.elements;
     let known = |i: usize, j: usize| !(without(i) || without(j) || element_takes_part(unidentified, elements, i, j));
-    // on the face a correlation of 1 does not move: its standard error would be rounding
+    // on the face a correlation of 1 does not move: a standard error of this correlation would be rounding
     let at_end = |i: usize, j: usize| {
         let size = sigma[(i, i)] * sigma[(j, j)];
         on_boundary(i) && on_boundary(j) && sigma[(i, j)].powi(2) >= (1.0 - CORRELATION_ONE_TOLERANCE) * size

@@ -10,15 +10,14 @@ use crate::progress::SharedProgress;
 use kalfit_algebra::elements::Elements;
 use kalfit_estimate::{Criterion, Estimate, Point};
 
-/// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half the square of this of the
-/// maximum.
+/// Normal quantile q of 97.5 %: a profile interval holds the values with ℓ_max at most ½q² below the maximum.
 pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
 
 /// Method of the intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum IntervalKind {
-    /// From standard errors, of standard deviations in logarithms, of correlations in Fisher's z, of the rest as they
-    /// are.
+    /// From standard errors: symmetric in the logarithm of a standard deviation, in Fisher's z of a correlation, and in
+    /// the value of any other quantity.
     #[default]
     Wald,
     /// By profile likelihood: values that the likelihood-ratio test at 5 % does not reject.
@@ -30,12 +29,12 @@ pub use kalfit_search::Interval;
 /// 95 % intervals in the user's units. `None` where a quantity is fixed or not identified.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Intervals {
-    /// Method of these intervals.
+    /// Method by which the intervals are computed.
     pub kind: IntervalKind,
-    /// Number of intervals from standard errors where profiles were requested, not counting those of means under the
-    /// restricted likelihood.
+    /// Number of intervals from standard errors where profiles were requested, not counting intervals of means under
+    /// the restricted likelihood.
     pub unprofiled: usize,
-    /// The intervals; those of variances are the squares of those of the standard deviations.
+    /// Ends of each interval; the ends for a variance are the squared ends for the standard deviation.
     pub ends: Quantities<Interval>,
 }
 
@@ -75,8 +74,8 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
 }
 
 /// Intervals by profile likelihood, also of quantities on the boundary; Wald intervals of means under the restricted
-/// likelihood, which has no profile of means. An end is `None` where no certified maximum is found near it; the whole
-/// is `None` once `progress` stops.
+/// likelihood, which has no profile of means. An end is `None` where the search finds no certified maximum near the
+/// end; the result is `None` once `progress` stops.
 pub(super) fn profile(
     estimate: &Estimate,
     uncertainty: &Uncertainty,
@@ -170,7 +169,7 @@ impl Holds for Holder<'_> {
     }
 }
 
-/// Values beyond which a quantity cannot go, below and above.
+/// Lower and upper limit of a quantity.
 fn limits(what: Holdable) -> [Option<f64>; 2] {
     match what {
         Holdable::StdDev(_) => [Some(0.0), None],

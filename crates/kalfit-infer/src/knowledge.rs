@@ -1,4 +1,4 @@
-//! How uncertain the estimates are, in the terms of a model.
+//! Uncertainty of the estimates, by the parameters and states of a model.
 
 use nalgebra::DMatrix;
 
@@ -6,12 +6,12 @@ use crate::estimated::Estimated;
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Level, PhasedModel};
 
-/// Step of a difference by a free value, as a fraction of its standard error.
+/// Step of a difference by a free value, as a fraction of the standard error.
 const STEP_PER_STD_ERROR: f64 = 1e-3;
 /// Largest step of a difference by a free value, as a fraction of the value.
 pub const MAX_RELATIVE_STEP: f64 = 1e-3;
 
-/// One number that was estimated, as a model names it.
+/// An estimated quantity of a model.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Estimand {
     /// An element of μ, a regression coefficient or an element of Σ.
@@ -20,14 +20,15 @@ pub enum Estimand {
     Parameter {
         /// Index of the parameter in the model.
         parameter: usize,
-        /// Text of the level that the value belongs to.
+        /// Text of the level for which the parameter has this value; `None` for a parameter with one value, and for the
+        /// value at all other levels.
         level: Option<String>,
     },
 }
 
 impl Estimand {
-    /// α with this parameter moved a little down and up, and the distance between the two values; `None` where the
-    /// number is no parameter, or the step is zero. `error`: its standard error, where there is one.
+    /// α with the value of this parameter lowered and raised by one step, and the distance of two steps; `None` where
+    /// the quantity is no parameter, or the step is zero. `error`: standard error of the value, where known.
     pub fn sides(&self, model: &PhasedModel, alpha: &Alpha, error: Option<f64>) -> Option<([Alpha; 2], f64)> {
         let value = *self.value(model, &mut alpha.clone())?;
         let size = if value == 0.0 { 1.0 } else { value.abs() };
@@ -44,7 +45,7 @@ impl Estimand {
         (step > 0.0).then(|| (sides.map(moved), sides[1] - sides[0]))
     }
 
-    /// Value of a parameter at its level; `None` where the number is no parameter, or α has no separate value at the
+    /// Value of a parameter at its level; `None` where the quantity is no parameter, or α has no separate value at the
     /// level.
     pub fn value<'a>(&self, model: &PhasedModel, alpha: &'a mut Alpha) -> Option<&'a mut f64> {
         let Estimand::Parameter { parameter, level } = self else { return None };
@@ -63,7 +64,7 @@ impl Estimand {
 /// Uncertainty of the estimates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Knowledge {
-    /// The estimated numbers, in the order of the rows of the covariance.
+    /// The estimated quantities, in the order of the rows of the covariance.
     pub quantities: Vec<Estimand>,
     /// Covariance of the estimates.
     pub covariance: DMatrix<f64>,
@@ -78,7 +79,7 @@ pub struct Knowledge {
 }
 
 impl Knowledge {
-    /// For given values: nothing was estimated.
+    /// Knowledge of a model with given values, none of which was estimated.
     pub fn exact() -> Knowledge {
         Knowledge {
             quantities: Vec::new(),
@@ -92,7 +93,7 @@ impl Knowledge {
 }
 
 impl Knowledge {
-    /// This knowledge with some numbers taken as known exactly.
+    /// This knowledge with the quantities that `is_exact` selects treated as known exactly.
     #[must_use]
     pub fn without(&self, is_exact: &dyn Fn(&Estimand) -> bool) -> Knowledge {
         let kept: Vec<usize> = (0..self.quantities.len()).filter(|&i| !is_exact(&self.quantities[i])).collect();

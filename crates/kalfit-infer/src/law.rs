@@ -12,7 +12,7 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::{FinalState, JointLaw, PhaseForm};
 use kalfit_filter::reduce::Reductions;
 
-/// Eigenvalues of the information, scaled to unit diagonal, below this are treated as zero.
+/// Eigenvalues of the information, scaled to unit diagonal, below this threshold count as zero.
 const MIN_SCALED_EIGENVALUE: f64 = 1e-10;
 
 /// The asymptotic normal law of the free coordinates, transformed to mean coordinates and elements of Σ.
@@ -20,19 +20,19 @@ pub(crate) struct AsymptoticLaw<'a> {
     pub(super) state: &'a FinalState,
     /// Covariance of the coordinates along the tangent basis.
     coordinates: DMatrix<f64>,
-    /// Covariance of the mean coordinates alone, under the restricted likelihood: that of generalised least squares at
-    /// the estimated Σ, plus what the uncertainty of estimated dynamic parameters adds.
+    /// Covariance of the mean coordinates alone, under the restricted likelihood: the covariance of generalised least
+    /// squares at the estimated Σ, plus (dβ̂/dα) Var(α̂) (dβ̂/dα)' for estimated dynamic parameters.
     mean: Option<DMatrix<f64>>,
     /// dβ̂/dα of the mean coordinates, where `mean` and estimated dynamic parameters are given: coordinates × free
     /// values of α.
     follows: Option<DMatrix<f64>>,
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
     jacobian: Sparse,
-    /// The joint law with the free values of α, where some of them move Σ at fixed coordinates.
+    /// The joint law with the free values of α, where some value of α moves Σ at fixed coordinates.
     joint: Option<WithParameters>,
 }
 
-/// The law of the coordinates along the tangent basis, followed by the free values of α.
+/// The joint law of the coordinates along the tangent basis and the free values of α, in this order.
 struct WithParameters {
     covariance: DMatrix<f64>,
     jacobian: Sparse,
@@ -60,7 +60,7 @@ impl<'a> AsymptoticLaw<'a> {
         });
         let jacobian = jacobian.times_columns(&tangent.basis);
         let coordinates = match kind {
-            // with estimated dynamic parameters the joint covariance was computed together with them, for every `kind`
+            // with estimated dynamic parameters, for every `kind`, the joint covariance is already known
             _ if state.joint.is_some() => {
                 let joint = state.joint.as_ref().expect("there is one");
                 joint.covariance.view((0, 0), (jacobian.ncols(), jacobian.ncols())).into_owned()
@@ -77,8 +77,8 @@ impl<'a> AsymptoticLaw<'a> {
                 half * bread
             }
         };
-        // the sandwich covers the mean too; with the other two kinds the mean has its generalised least squares
-        // covariance
+        // the sandwich includes the mean; with the two other kinds the mean has the covariance of generalised least
+        // squares
         let mean = gls.filter(|_| kind != StdErrors::Sandwich);
         let follows =
             mean.as_ref().and(state.joint.as_ref()).map(|joint| follows(joint, tangent.mean, jacobian.ncols()));
@@ -143,8 +143,8 @@ impl<'a> AsymptoticLaw<'a> {
         (rows + self.state.problem.covariance.elements.index(i, j), weight * self.scale()[i] * self.scale()[j])
     }
 
-    /// Derivatives of a quantity by mean coordinates and elements of Σ; `None` where they do not exist (a variance of
-    /// zero). `sigma` is Σ in the user's units.
+    /// Derivatives of a quantity by mean coordinates and elements of Σ; `None` where the derivatives do not exist (a
+    /// variance of zero). `sigma` is Σ in the user's units.
     fn weights_of(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<DVector<f64>> {
         let variance = |i: usize| Some(sigma[(i, i)]).filter(|variance| *variance > 0.0);
         Some(match what {
@@ -166,7 +166,7 @@ impl<'a> AsymptoticLaw<'a> {
         })
     }
 
-    /// Standard error of a quantity; `None` where the quantity has none. `sigma` is Σ in the user's units.
+    /// Standard error of a quantity; `None` where the quantity has no standard error. `sigma` is Σ in the user's units.
     pub(super) fn error(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<f64> {
         let weights = &self.weights_of(sigma, what)?;
         match (what, &self.joint) {
@@ -179,8 +179,8 @@ impl<'a> AsymptoticLaw<'a> {
         }
     }
 
-    /// Derivative of a quantity along the tangent basis; zero where it does not exist. `sigma` is Σ in the user's
-    /// units.
+    /// Derivative of a quantity along the tangent basis; zero where the derivative does not exist. `sigma` is Σ in the
+    /// user's units.
     pub(crate) fn derivative(&self, sigma: &DMatrix<f64>, what: Holdable) -> DVector<f64> {
         match self.weights_of(sigma, what) {
             Some(weights) => self.jacobian.transposed_times(&weights),
@@ -196,7 +196,7 @@ impl<'a> AsymptoticLaw<'a> {
         self.jacobian.transposed_times(&self.weights(&entries))
     }
 
-    /// Relative standard error of a common factor on the Σ of a phase, from its largest variance.
+    /// Relative standard error of a common factor on the Σ of a phase, from the largest variance of this Σ.
     pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &PhaseForm) -> Option<f64> {
         let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
         let error = self.error(sigma, Holdable::Covariance(i, i)).filter(|_| sigma[(i, i)] > 0.0)?;
@@ -217,7 +217,8 @@ impl WithParameters {
         WithParameters { covariance: joint.covariance.clone(), jacobian, open }
     }
 
-    /// Whether a quantity with these weights is independent of all values of α that the data do not determine.
+    /// Whether a quantity with the derivatives `weights` is independent of all values of α that the data do not
+    /// determine.
     fn is_known(&self, weights: &DVector<f64>) -> bool {
         self.open.transposed_times(weights).amax() <= MAX_OPEN_SHARE * weights.amax()
     }
@@ -233,9 +234,9 @@ fn follows(joint: &JointLaw, mean: usize, coordinates: usize) -> DMatrix<f64> {
     all
 }
 
-/// Standard error of the quantity with these derivatives by mean coordinates and elements of Σ.
+/// Standard error of the quantity whose derivatives by mean coordinates and elements of Σ are `weights`.
 fn error(jacobian: &Sparse, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
-    // sizes are compared in η, where they do not depend on the user's units
+    // sizes are compared in η, independent of the user's units
     let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
     let along = jacobian.transposed_times(&(weights / unit));
     let size = along.amax();

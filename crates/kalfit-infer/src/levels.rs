@@ -1,4 +1,5 @@
-//! Tests in groups (theory §11): posteriors and distances of tests and of groups, and the fit without each of them.
+//! Tests in groups (theory §11): posteriors and distances of tests and of groups, and the fit without each test and
+//! each group.
 
 use nalgebra::DMatrix;
 use rayon::prelude::*;
@@ -18,16 +19,16 @@ type Deletions = Vec<Option<Deletion>>;
 /// Results of one group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupPosterior {
-    /// log p of all measurements of the group's tests, without those of other groups.
+    /// log p of all measurements of the group's tests, without other groups.
     pub log_likelihood: f64,
     /// E[m | z] of the mean m of the group's members, without regressions (p).
     pub mean: Vec<f64>,
     /// Var[m | z] (p × p).
     pub covariance: DMatrix<f64>,
-    /// How far the group is from the population.
+    /// Distance of the group from the population.
     pub distance: Distance,
-    /// Squared distance of the group's tests and inner groups from each other: χ² with degrees of freedom equal to the
-    /// sum of those of the tests' distances minus those of the group's `distance`.
+    /// Squared distance of the group's tests and inner groups from each other: χ² with (sum of the degrees of freedom
+    /// of the tests' distances) - (degrees of freedom of `distance`) degrees of freedom.
     pub within: f64,
     /// Number of tests in the group.
     pub tests: usize,
@@ -35,7 +36,7 @@ pub struct GroupPosterior {
     pub follows: Option<DMatrix<f64>>,
 }
 
-/// Tests in groups, with their reductions in the per-test effect and the effects of the test's groups.
+/// Tests in groups; `evidence`: reductions in the per-test effect and the effects of the test's groups.
 struct GroupedTests<'a> {
     problem: &'a Problem,
     evidence: &'a Reductions,
@@ -78,8 +79,8 @@ impl GroupedTests<'_> {
     }
 }
 
-/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first; `None` without
-/// groups. The likelihood and distance of a test are those of the test by itself.
+/// Posteriors of all tests, in the order of the reductions, and of the groups of each level from the innermost on;
+/// `None` without groups. The likelihood and distance of a test do not depend on the other tests of the group.
 pub(super) fn posteriors(
     problem: &Problem,
     point: &Point,
@@ -105,8 +106,9 @@ pub(super) fn posteriors(
     Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
 }
 
-/// The fit without each test, in their order, and without each group of each level, the innermost first. An entry is
-/// `None` where the other tests have no certified optimum, or there are no others; the whole once `progress` stops.
+/// The fit without each test, in the order of the reductions, and without each group of each level from the innermost
+/// on. An entry is `None` where there are no other tests, or no certified optimum of the other tests; the result is
+/// `None` once `progress` stops.
 pub(super) fn deletions(
     estimate: &Estimate,
     evidence: &Reductions,
@@ -139,7 +141,7 @@ pub(super) fn deletions(
 }
 
 impl GroupedTests<'_> {
-    /// The fit without some tests, and its optimum; the `distance` of the result is a placeholder.
+    /// The optimum without the `removed` tests, and the fit; the `distance` of the fit is a placeholder.
     fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
         let problem = self.problem;
         let (point, others) = search_without(estimate, self.evidence, removed)?;

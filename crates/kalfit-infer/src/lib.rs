@@ -1,4 +1,4 @@
-//! How far each estimate can be trusted: standard errors, sensitivities, identifiability, and the results of each test.
+//! Uncertainty of the estimates: standard errors, sensitivities, identifiability, and the results of each test.
 //!
 //! ```text
 //! Var θ̂ = H⁻¹, H = -∂²ℓ/∂θ²                                     standard errors, from the observed information
@@ -90,7 +90,7 @@ pub struct Choices {
     pub tests: TestsChoice,
 }
 
-/// Whether results of single tests are computed: for very many tests they take more memory than the fit.
+/// Whether results of single tests are computed: for very many tests, these results take more memory than the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TestsChoice {
     /// Results of every test.
@@ -103,7 +103,7 @@ pub enum TestsChoice {
 /// Whether the fit is repeated without each test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DeletionChoice {
-    /// Only when all these fits take about a second at most.
+    /// Only when the fits without each test together take about a second at most.
     #[default]
     Cheap,
     /// Always, however long the fits take.
@@ -112,7 +112,7 @@ pub enum DeletionChoice {
     None,
 }
 
-/// Number of multiplications up to which the fits without each test count as cheap.
+/// Largest number of multiplications at which the fits without each test count as cheap.
 const CHEAP_MULTIPLICATIONS: f64 = 5e8;
 
 /// Everything inferred from an estimate.
@@ -122,7 +122,7 @@ pub struct Inference {
     pub std_errors: StdErrors,
     /// Standard errors, and the blocks of Σ that are singular.
     pub uncertainty: Uncertainty,
-    /// Covariance of all estimates; `None` where there are very many.
+    /// Covariance of all estimates; `None` for more than 200 estimates, or where an entry is not finite.
     pub estimates: Option<EstimateCovariance>,
     /// 95 % intervals.
     pub intervals: Intervals,
@@ -132,7 +132,7 @@ pub struct Inference {
     pub explanations: Vec<Explanation>,
     /// Which tests inform and observe each state.
     pub observability: Observability,
-    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    /// Which directions enter at which phase; empty where the reductions are not stored phase by phase.
     pub phases: Vec<PhaseObservability>,
     /// Sensitivity and score test of each constraint.
     pub sensitivities: Vec<Sensitivity>,
@@ -146,13 +146,13 @@ pub struct Inference {
     pub group_deletions: Option<Vec<Vec<Option<Deletion>>>>,
 }
 
-/// Computes the inference from an estimate and the reductions that it was made from.
+/// Computes the inference from an estimate and the reductions of the estimate.
 pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> Inference {
     inferred(estimate, reductions, choices, &SharedProgress::new(&mut Silent, None))
 }
 
-/// As [`infer`], and reports to `progress` which interval is computed. Once `progress` stops, intervals come from
-/// standard errors, and fits without each test are omitted.
+/// Computes the inference as [`infer`] does, and reports to `progress` which interval is computed. Once `progress`
+/// stops, intervals come from standard errors, and fits without each test are omitted.
 pub fn infer_while(
     model: &PhasedModel,
     (estimate, reductions): (&Estimate, &Reductions),
@@ -162,7 +162,7 @@ pub fn infer_while(
     inferred(estimate, reductions, choices, &SharedProgress::new(progress, Some(model)))
 }
 
-/// As `infer_while`, with a `progress` that is already shared between threads.
+/// Computes the inference as [`infer_while`] does, with a `progress` that threads already share.
 pub(crate) fn inferred(
     estimate: &Estimate,
     reductions: &Reductions,
@@ -174,7 +174,7 @@ pub(crate) fn inferred(
         identifiability::examine(estimate, &evidence, reductions);
     let std_errors = match estimate.criterion {
         Criterion::Ml => choices.std_errors,
-        Criterion::Reml => StdErrors::Observed, // its additional term in ℓ is not a sum over tests
+        Criterion::Reml => StdErrors::Observed, // the additional term of the restricted ℓ is not a sum over tests
     };
     let (uncertainty, estimates) = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
     let profiled = match choices.intervals {

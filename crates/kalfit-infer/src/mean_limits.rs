@@ -45,9 +45,9 @@ impl Holds for Combinations<'_> {
     }
 }
 
-/// Limits of each combination by the likelihood-ratio test, where α is known: values whose ℓ_max is within half the
-/// square of `quantile` of the maximum. Both limits are the estimate where no estimated number moves the combination;
-/// `None` where an end is not found, or once `progress` stops.
+/// Limits of each combination by the likelihood-ratio test, where α is known: the values with ℓ_max at most ½
+/// `quantile`² below the maximum. Both limits are the estimate where no estimated number moves the combination; `None`
+/// where an end is not found, or once `progress` stops.
 pub fn mean_limits(
     estimate: &Estimate,
     all: &[MeanCombination],

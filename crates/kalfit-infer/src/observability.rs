@@ -1,16 +1,17 @@
 //! Which tests inform and observe each state (theory §5, the paper's 2.3).
 //!
-//! A test informs a state when its measurements depend on that state (row of J not zero), and observes the state when
-//! the test alone could estimate it (the unit vector of the state is in the range of J). The mean of a state is then
-//! known from
+//! A test informs a state when the measurements of the test depend on the state (row of J not zero), and observes the
+//! state when the test alone could estimate it (the unit vector of the state is in the range of J). The mean of a state
+//! is then known from
 //!
 //! ```text
 //! I = Σ_j W_j        variance of μ̂_i = u'Iu with u = I⁺e_i = Σ_j u'W_ju
 //! ```
 //!
-//! on the free directions of μ: test j's part of that sum is its share of the information on the mean. A direction of
-//! the mean is weakly determined when it is nearly unobserved: its condition index (Belsley, Kuh, Welsch 1980), √(λ_max
-//! / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
+//! on the free directions of μ: the share of test j of the information on the mean is the term u'W_ju of this sum. A
+//! direction of the mean is weakly determined, that is nearly unobserved, when the condition index of the direction
+//! (Belsley, Kuh, Welsch 1980), √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. No share or condition
+//! index depends on units.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -28,9 +29,10 @@ use kalfit_model::remote::Coordinates;
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
-/// Number of tests up to which their ids are listed.
+/// Largest number of tests whose ids are listed.
 pub const MOST_TESTS: usize = 20;
-/// A column of R whose norm is below this fraction of the largest over the tests is rounding error.
+/// A column of R counts as rounding error if its norm is below this fraction of the largest norm of this column over
+/// the tests.
 const MIN_COLUMN_FRACTION: f64 = 1e-12;
 
 /// How well the ensemble determines the estimated states and the mean.
@@ -38,7 +40,7 @@ const MIN_COLUMN_FRACTION: f64 = 1e-12;
 pub struct Observability {
     /// Observability of each element of μ.
     pub states: Vec<StateObservability>,
-    /// Number of tests that inform both i and k, p × p by rows.
+    /// Number of tests that inform both state i and state k, p × p by rows.
     pub together: Vec<Vec<usize>>,
     /// Weakly determined directions of the mean, the worst first.
     pub weak: Vec<WeakDirection>,
@@ -51,16 +53,16 @@ pub struct Observability {
 pub struct StateObservability {
     /// Number of tests whose measurements depend on the state.
     pub informed_by: usize,
-    /// Number of tests that could estimate the state alone.
+    /// Number of tests each of which alone could estimate the state.
     pub observed_by: usize,
-    /// Ids of the tests that inform the state, in order, when there are at most [`MOST_TESTS`]; else empty.
+    /// Sorted ids of the tests that inform the state, for at most [`MOST_TESTS`] tests; else empty.
     pub tests: Vec<String>,
     /// The test with the largest share of the information on the state's mean; `None` where the mean is fixed or not
     /// identified. Regression coefficients are taken as known.
     pub leading: Option<Leading>,
 }
 
-/// A test and its share of the information.
+/// A test, and the test's share of the information.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Leading {
     /// Id of the test; among several with equal shares, the first by id.
@@ -91,7 +93,7 @@ pub struct Shortage {
     pub rank: usize,
 }
 
-/// The classes of the tests, and which states each of them informs and observes.
+/// The classes of the tests, and which states each class informs and observes.
 struct ClassViews<'a> {
     classes: &'a Classes,
     reductions: &'a Reductions,
@@ -100,9 +102,9 @@ struct ClassViews<'a> {
     observes: Vec<bool>,
 }
 
-/// One class of tests, and which states they inform and observe.
+/// One class of tests, and which states the tests inform and observe.
 struct ClassView<'a> {
-    /// Numbers of the tests, in order of their ids.
+    /// Indices of the tests, in the order of the tests' ids.
     tests: &'a [usize],
     informs: &'a [bool],
     observes: &'a [bool],
@@ -166,7 +168,8 @@ fn remote_observability(problem: &Problem, weight: &DMatrix<f64>) -> Observabili
     }
 }
 
-/// A shard's answer to [`Question::Observability`]; `None` where `frame` does not fit its model.
+/// A shard's answer to [`Question::Observability`]: number of tests that inform each state (p), that observe each state
+/// (p), and that inform both of two states (p × p by rows); `None` where `frame` does not fit the model of the shard.
 pub fn observability_counts(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
     let p = frame.centre.len();
     let reductions = summed.reductions.clone();
@@ -179,7 +182,7 @@ pub fn observability_counts(summed: &mut Summed, frame: &Coordinates) -> Option<
 }
 
 impl Observability {
-    /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else empty.
+    /// Sorted ids of the tests that inform any of these states, for at most [`MOST_TESTS`] tests; else empty.
     pub(super) fn tests_of(&self, states: &[usize]) -> Vec<String> {
         let of = || states.iter().map(|&i| &self.states[i]);
         if of().any(|state| state.informed_by > MOST_TESTS) {
@@ -214,7 +217,7 @@ impl<'a> ClassViews<'a> {
         ClassViews { classes, reductions, informs, observes }
     }
 
-    /// The classes in turn.
+    /// Iterator over the classes.
     fn iter(&self) -> impl Iterator<Item = ClassView<'_>> {
         let p = self.classes.dimension();
         (0..self.classes.len()).map(move |class| ClassView {
@@ -229,7 +232,7 @@ impl<'a> ClassViews<'a> {
         self.iter().filter(of).map(|design| design.tests.len()).sum()
     }
 
-    /// Ids of the tests in the classes that `of` selects, when they are few; else empty.
+    /// Sorted ids of the tests in the classes that `of` selects, for at most [`MOST_TESTS`] tests; else empty.
     fn listed(&self, of: impl Fn(&ClassView<'_>) -> bool) -> Vec<String> {
         let tests = self.iter().filter(of).flat_map(|design| design.tests).take(MOST_TESTS + 1);
         let mut ids: Vec<String> = tests.map(|&test| self.reductions.id(test).to_owned()).collect();
@@ -240,7 +243,7 @@ impl<'a> ClassViews<'a> {
         ids
     }
 
-    /// Number of tests that inform both of two states, p × p.
+    /// Number of tests that inform both state i and state k, p × p.
     fn together(&self, p: usize) -> Vec<Vec<usize>> {
         let mut count_by_pattern: BTreeMap<&[bool], usize> = BTreeMap::new();
         self.iter().for_each(|design| *count_by_pattern.entry(design.informs).or_default() += design.tests.len());
@@ -251,7 +254,7 @@ impl<'a> ClassViews<'a> {
     }
 }
 
-/// R of a class, packed by columns; exact measurements of its tests count as rows of information like any other.
+/// R of a class, packed by columns; exact measurements of the class's tests count as rows of R.
 fn class_factor<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<'a, [f64]> {
     let first = classes.tests_of(class)[0];
     if reductions.exact(first).is_none() {
@@ -314,7 +317,7 @@ struct Shares<'a> {
 }
 
 impl Shares<'_> {
-    /// For each direction u the test with the largest u'W_ju, and its share of the sum over the tests.
+    /// For each direction u the test with the largest u'W_ju, and the share of this term of the sum over the tests.
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
         let ClassViews { classes, reductions, .. } = self.designs;
         let p = classes.dimension();
@@ -338,7 +341,7 @@ impl Shares<'_> {
     }
 }
 
-/// For each direction u the sum of u'W_ju over tests, and its largest term with the id of that test.
+/// For each direction u the sum of u'W_ju over tests, and the largest term with the id of the test.
 struct Parts<'a> {
     totals: Vec<f64>,
     best: Vec<Option<(f64, &'a str)>>,
@@ -358,7 +361,7 @@ impl<'a> Parts<'a> {
         }
     }
 
-    /// Replaces the best term by a larger one, or by an equal one of a smaller id; `test` is called only where needed.
+    /// Replaces the best term by a larger one, or by an equal one of a smaller id; `test` returns the id.
     fn offer(&mut self, c: usize, own: f64, test: impl Fn() -> &'a str) {
         let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test() < id);
         if own > 0.0 && self.best[c].as_ref().is_none_or(better) {

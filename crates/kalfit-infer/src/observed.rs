@@ -1,4 +1,4 @@
-//! Determines which states a test could estimate alone.
+//! Determines which states a single test could estimate.
 
 use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::DMatrix;
@@ -7,7 +7,7 @@ use crate::direction::ZERO_EIGENVALUE;
 use kalfit_algebra::fold::norm;
 use kalfit_algebra::symmetric;
 
-/// A state whose part in the directions without information exceeds this (norm of its entries) is not observed.
+/// A state whose part in the directions without information exceeds this norm is not observed.
 pub(super) const MAX_UNINFORMED_PART: f64 = 1e-6;
 
 /// Norm of column k of R, which is packed by columns.
@@ -21,7 +21,7 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     let informed = || (0..p).filter(|&i| informs[i]);
     let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
     // The least eigenvalue of J scaled to unit diagonal is at least a third of its determinant, and the determinant
-    // at least Π R_kk² of the scaled R: eigenvalues are not needed where this bound shows that none is near zero.
+    // at least Π R_kk² of the scaled R: eigenvalues are not needed where this bound excludes an eigenvalue near zero.
     let determinant: f64 = informed().map(|k| (entry(k, k) / column_norm(factor, k)).powi(2)).product();
     if determinant > 10.0 * ZERO_EIGENVALUE {
         return;
@@ -41,8 +41,8 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     }
 }
 
-/// Kernel that checks whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at
-/// least 1 / ‖D R⁻¹‖², D the norms of the columns of R, which is packed by columns.
+/// Kernel that checks whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least eigenvalue is
+/// at least 1 / ‖D R⁻¹‖², where D is diagonal with the norms of the columns of R; R is packed by columns.
 struct WellConditioned<'a> {
     factor: &'a [f64],
     norms: &'a [f64],

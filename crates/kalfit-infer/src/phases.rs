@@ -13,12 +13,12 @@ const CLASSES_PER_RANK_CHECK: usize = 64;
 /// Information that a phase adds on the initial states.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseObservability {
-    /// Rank of the information of the phase by itself on all states that enter it: new states and inherited ones.
+    /// Rank of the information of this phase alone on all states that enter the phase: new and inherited states.
     pub own_rank: usize,
     /// Rank of the information of this and all earlier phases together on the states of all these phases.
     pub rank_so_far: usize,
-    /// Combinations of the states of this and earlier phases that are known from this phase on: weights of all states
-    /// of the model, each a unit vector in the user's units. Their number is the increase of `rank_so_far` in this
+    /// Combinations of the states of this and earlier phases that are known from this phase on: each a unit vector of
+    /// weights of all states of the model, in the user's units. There are as many as `rank_so_far` increases in this
     /// phase.
     pub entered: Vec<Vec<f64>>,
 }
@@ -71,7 +71,7 @@ fn single(problem: &Problem) -> PhaseObservability {
     }
 }
 
-/// Sum of the information of the chains, up to where the rank is as high as it can be.
+/// Sum of the information over the chains, `size` × `size`; further chains are not added once the rank is `highest`.
 fn summed_information(
     chains: &[&ChainStore],
     highest: usize,
@@ -92,12 +92,12 @@ fn rank(information: &DMatrix<f64>) -> usize {
     symmetric::scaled_eigen(information).1.iter().filter(|v| **v > ZERO_EIGENVALUE).count()
 }
 
-/// An orthonormal basis of the range.
+/// An orthonormal basis of the range of the information.
 fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
     symmetric::range(information, |value| value > ZERO_EIGENVALUE)
 }
 
-/// Directions of a range that are not in the range before, as weights in the user's units.
+/// Directions of `range` that are not in the range `before`, as weights in the user's units.
 fn entered(range: &DMatrix<f64>, before: &DMatrix<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
     let new = range.ncols().saturating_sub(before.ncols());
     if new == 0 {

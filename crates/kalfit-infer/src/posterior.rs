@@ -1,4 +1,4 @@
-//! Results of each test: its likelihood, the posterior of its ξ (10), (11), and its distance from the population.
+//! Results of each test: likelihood, posterior of ξ (10), (11), and distance from the population.
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ use kalfit_model::unpack;
 /// Number of tests that one thread takes at a time.
 const TESTS_PER_CHUNK: usize = 64;
 
-/// Posteriors of all tests, where they stand in no groups, at a point, in the order of the reductions.
+/// Posteriors of all tests, without groups, at a point, in the order of the reductions.
 pub(super) fn ungrouped(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
     let classes = problem.classes.of(reductions);
     let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
@@ -27,7 +27,7 @@ pub(super) fn ungrouped(problem: &Problem, point: &Point, reductions: &Reduction
     Posteriors::ordered(sizes(problem), &found)
 }
 
-/// Posteriors of tests that each form a class of one.
+/// Posteriors of the tests of classes that have one test each.
 fn of_classes(
     (problem, classes): (&Problem, &Classes),
     point: &Point,
@@ -95,7 +95,7 @@ impl PosteriorEvaluator<'_> {
     }
 }
 
-/// log p of a test's measurements and its distance from the population, at any point.
+/// log p of a test's measurements, and the test's distance from the population, at any point.
 pub(crate) fn distance(problem: &Problem, point: &Point, reductions: &Reductions, test: usize) -> (f64, Distance) {
     let class = problem.classes.single(reductions, test);
     let mut terms = ClassTerms::new(point, &problem.mean.regressors);
@@ -111,12 +111,12 @@ impl Distance {
         let told = free_states
             .map(|(q, free_states)| (q, free_states.least_squares(&unpack(reduction.factor, p), reduction.data)));
         let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
-        // For tests stored phase by phase the quadratic form also contains the disagreement of their phases at any ξ:
-        // the sum of the phases' constants exceeds the stacked constant by half of this disagreement and of the
+        // For tests stored phase by phase the quadratic form also contains the disagreement of the test's phases at any
+        // ξ: the sum of the phases' constants exceeds the stacked constant by half of this disagreement and of the
         // log-determinant of the noise between phases.
         let disagreement = match class.chain {
             Some(_) => 2.0 * (class.constant - reduction.constant) - terms.link_log_det,
-            // with exact rows, it contains the disagreement of the other rows with them
+            // with exact rows, the quadratic form contains the disagreement of the other rows with the exact rows
             None => told.map_or(0.0, |(_, (_, left))| left),
         };
         let squared = (terms.quadratic - disagreement).max(0.0);

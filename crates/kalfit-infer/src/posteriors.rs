@@ -24,7 +24,7 @@ pub struct Posterior<'a> {
     pub mean: &'a [f64],
     sizes: &'a [usize],
     covariances: &'a [f64],
-    /// How far the test is from the population.
+    /// Distance of the test from the population.
     pub distance: Distance,
 }
 
@@ -39,7 +39,7 @@ pub struct Distance {
     pub p_value: Option<f64>,
 }
 
-/// Posteriors of some tests, each with the number of its test.
+/// Posteriors of some tests, and the index of each test.
 #[derive(Debug)]
 pub(super) struct NumberedPosteriors {
     numbers: Vec<usize>,
@@ -47,7 +47,7 @@ pub(super) struct NumberedPosteriors {
 }
 
 impl Posteriors {
-    /// An empty store, with the number of states of each phase.
+    /// An empty store; `sizes`: number of states of each phase.
     pub(super) fn new(sizes: Vec<usize>) -> Posteriors {
         Posteriors { sizes, ..Posteriors::default() }
     }
@@ -62,7 +62,7 @@ impl Posteriors {
         self.distance.is_empty()
     }
 
-    /// Posterior of the test with this number. Panics when there is no such test.
+    /// Posterior of the test with this index. Panics when there is no such test.
     pub fn get(&self, test: usize) -> Posterior<'_> {
         let (p, covariance_entries) = (self.states(), self.covariance_entries());
         Posterior {
@@ -88,7 +88,7 @@ impl Posteriors {
         debug_assert_eq!(self.covariances.len(), self.len() * self.covariance_entries());
     }
 
-    /// Joins parts in the order of the tests' numbers, which are 0, 1, 2, … without gaps.
+    /// Joins parts in the order of the tests' indices, which are 0, 1, 2, … without gaps.
     pub(super) fn ordered(sizes: Vec<usize>, parts: &[NumberedPosteriors]) -> Posteriors {
         let mut numbered: Vec<(usize, usize, usize)> = parts
             .iter()
@@ -114,7 +114,7 @@ impl Posteriors {
 }
 
 impl<'a> Posterior<'a> {
-    /// Var[ξ_i | z] of the phase with this number (p_i × p_i). Panics when the model has no such phase.
+    /// Var[ξ_i | z] of the phase with this index (p_i × p_i). Panics when the model has no such phase.
     pub fn covariance(&self, phase: usize) -> DMatrixView<'a, f64> {
         DMatrixView::from_slice(self.covariance_rows(phase), self.sizes[phase], self.sizes[phase])
     }
@@ -134,7 +134,7 @@ impl<'a> Posterior<'a> {
 }
 
 impl Distance {
-    /// A distance, with its tail probability under χ² with these degrees of freedom.
+    /// A distance, with the tail probability of `squared` under χ² with `degrees_of_freedom`.
     pub(super) fn new(squared: f64, degrees_of_freedom: usize) -> Distance {
         let p_value = ChiSquared::new(degrees_of_freedom as f64).ok().map(|chi| chi.sf(squared));
         Distance { squared, degrees_of_freedom, p_value }
@@ -147,7 +147,7 @@ impl NumberedPosteriors {
         NumberedPosteriors { numbers: Vec::new(), found: Posteriors::new(sizes.to_vec()) }
     }
 
-    /// The store to which the test with this number is to be added next.
+    /// Records the index of the next test; returns the store, to which the caller adds the test.
     pub(super) fn of(&mut self, number: usize) -> &mut Posteriors {
         self.numbers.push(number);
         &mut self.found

@@ -1,4 +1,4 @@
-//! Progress of the inference, reported from every thread that works at it.
+//! Progress of the inference, reported by every thread of the inference.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError, TryLockError};
@@ -20,7 +20,7 @@ pub struct SharedProgress<'p> {
 
 struct ReportedInterval<'p> {
     progress: &'p mut dyn Progress,
-    /// Name of the quantity whose interval was begun last, and whether its upper end is computed.
+    /// Name of the quantity whose interval was begun last.
     of: String,
     is_upper: bool,
     filter_runs: usize,
@@ -55,7 +55,7 @@ impl<'p> SharedProgress<'p> {
         stops
     }
 
-    /// Computes `one` for 0, …, `count` - 1 in parallel; `None` once a stop is requested.
+    /// Calls `one` for 0, …, `count` - 1 in parallel and collects the results; `None` once a stop is requested.
     pub(crate) fn each<T: Send>(&self, count: usize, one: impl Fn(usize) -> T + Sync + Send) -> Option<Vec<T>> {
         let wanted = |k: usize| (!self.stops()).then(|| one(k));
         (0..count).into_par_iter().map(wanted).collect()
@@ -98,7 +98,7 @@ impl<'p> SharedProgress<'p> {
     }
 }
 
-/// For a search within an interval: it stops with all the rest, and its steps are not reported.
+/// Progress of a search within an interval: stops are shared, and steps are not reported.
 impl Progress for &SharedProgress<'_> {
     fn step(&mut self, _: Step) {}
 

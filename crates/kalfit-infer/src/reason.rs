@@ -29,23 +29,24 @@ pub enum Reason {
         /// The states.
         states: Vec<usize>,
     },
-    /// Groups of some level have one member each, or too few groups have more: for these states only the sum of the
-    /// variations at two levels is known.
+    /// Groups of some level have one member each, or too few groups have more than one: for these states only the sum
+    /// of the variations at two levels is known.
     LevelsTogether {
         /// The states.
         states: Vec<usize>,
     },
-    /// A level has only one group: its effect on these states cannot be separated from the mean.
+    /// A level has only one group: the effect of this group on these states cannot be separated from the mean.
     OneGroup {
         /// The states.
         states: Vec<usize>,
     },
-    /// The direction moves together with dynamic parameters, and ℓ does not change along it.
+    /// μ and Σ can move along the direction together with dynamic parameters without a change of ℓ.
     WithParameters {
         /// Indices of the parameters.
         parameters: Vec<usize>,
     },
-    /// Covariates of these regressions vary too little, or together, over the tests that inform their states.
+    /// The covariates of these regressions vary too little, or vary together, over the tests that inform the states of
+    /// the regressions.
     Confounded {
         /// Indices of [`MeanStructure::regression`](kalfit_model::MeanStructure::regression).
         regressions: Vec<usize>,
@@ -57,7 +58,7 @@ pub enum Reason {
 pub struct Explanation {
     /// Why the direction is not identified.
     pub reason: Reason,
-    /// Ids of the tests that inform any of the direction's states, when they are few.
+    /// Sorted ids of the tests that inform any of the direction's states, for few tests; else empty.
     pub tests: Vec<String>,
 }
 

@@ -2,9 +2,9 @@
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! Every intrinsic needs AVX2 or FMA. The type is not public: only the generic code of a kernel uses it, which
-//! [`crate::Isa::run`] instantiates with it once the machine is known to have both. Loads and stores check the length
-//! of their slice and need no alignment.
+//! Every intrinsic needs AVX2 or FMA. The type `Avx2` is not public: only the generic code of a kernel uses `Avx2`, and
+//! [`crate::Isa::run`] calls this code only where the machine has AVX2 and FMA. Loads and stores check the length of
+//! the slice and need no alignment.
 #![expect(unsafe_code, reason = "intrinsics of instructions found at run time")]
 
 use std::arch::x86_64::*;
@@ -76,7 +76,7 @@ impl Real for Avx2 {
     fn minimum(self, other: Avx2) -> Avx2 {
         // SAFETY: see the module
         let least = Avx2(unsafe { _mm256_min_pd(other.0, self.0) });
-        least.unless_unknown(other) // the instruction returns its second operand if either is NaN
+        least.unless_unknown(other) // the instruction returns the second operand if either is NaN
     }
 
     #[inline(always)]

@@ -2,9 +2,9 @@
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! Every intrinsic needs AVX-512F. The type is not public: only the generic code of a kernel uses it, which
-//! [`crate::Isa::run`] instantiates with it once the machine is known to have AVX-512F. Loads and stores check the
-//! length of their slice and need no alignment.
+//! Every intrinsic needs AVX-512F. The type `Avx512` is not public: only the generic code of a kernel uses `Avx512`,
+//! and [`crate::Isa::run`] calls this code only where the machine has AVX-512F. Loads and stores check the length of
+//! the slice and need no alignment.
 #![expect(unsafe_code, reason = "intrinsics of instructions found at run time")]
 
 use std::arch::x86_64::*;
@@ -76,7 +76,7 @@ impl Real for Avx512 {
     fn minimum(self, other: Avx512) -> Avx512 {
         // SAFETY: see the module
         let least = Avx512(unsafe { _mm512_min_pd(other.0, self.0) });
-        least.unless_unknown(other) // the instruction returns its second operand if either is NaN
+        least.unless_unknown(other) // the instruction returns the second operand if either is NaN
     }
 
     #[inline(always)]

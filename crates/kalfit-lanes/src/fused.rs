@@ -1,11 +1,12 @@
-//! One number at a time with fused multiply-add: bit for bit what a lane computes, on machines that have the
-//! instruction.
+//! One number at a time with fused multiply-add, on machines that have the instruction: results have the same bits as
+//! in a lane.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::{Lanes, Real};
 
-/// One number. Only kernels that run [alone](crate::Isa::alone) use it: elsewhere `mul_add` would be a library call.
+/// One number with fused products. Only kernels that run [alone](crate::Isa::alone) use this type: elsewhere `mul_add`
+/// would be a library call.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Fused(f64);
 

@@ -3,13 +3,14 @@
 //! # Why the `unsafe` here is sound
 //!
 //! A function compiled for instructions that the machine lacks must not be called. Only [`Isa::all`] makes an [`Isa`]
-//! for such instructions, after it has checked the machine, and only such an [`Isa`] makes an [`Alone`] with fused
-//! products. So each call below uses instructions that the machine has.
+//! other than the portable one, after a check of the machine, and only an [`Isa`] other than the portable one makes an
+//! [`Alone`] with fused products. So each call below uses instructions that the machine has.
 //!
 //! # Why there are three types
 //!
-//! A kernel is compiled for each kind of number that it may run with. Most kernels run only with registers, or only
-//! with one number at a time, and are compiled for no more than that.
+//! A kernel is compiled for each kind of number that it may run with. Most kernels run only in lanes ([`Isa`]) or only
+//! on one number at a time ([`Alone`]), and are compiled for one of the two; a kernel that runs with a [`Width`] is
+//! compiled for both.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(unsafe_code, reason = "calls of functions for instructions found at run time")
@@ -24,7 +25,7 @@ pub trait Kernel {
     /// Result of the work.
     type Output;
 
-    /// Does the work with this kind of numbers.
+    /// Does the work with numbers of type `T`.
     fn run<T: Lanes>(self) -> Self::Output;
 }
 
@@ -34,7 +35,7 @@ static FIXED: OnceLock<Isa> = OnceLock::new();
 /// The environment variable [`Isa::VARIABLE`] names an instruction set that this machine does not have.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UnknownInstructions {
-    /// What the variable holds.
+    /// Value of the variable.
     pub word: String,
 }
 
@@ -64,12 +65,13 @@ enum IsaKind {
 }
 
 impl Isa {
-    /// Four numbers at a time in plain arrays, which the compiler may or may not put into registers.
+    /// The instruction set of every machine: four numbers at a time in a plain array, which the compiler may or may not
+    /// put into registers.
     pub const PORTABLE: Isa = Isa(IsaKind::Portable);
 
-    /// The instruction set that this process works with: the one that [`Isa::fix`] fixed, or the one that the environment variable
-    /// [`Isa::VARIABLE`] names, or the widest that the machine has. Where the variable names none of this machine, it is the widest
-    /// too; whoever begins a fit refuses such a variable first, by [`Isa::chosen`].
+    /// The instruction set of this process: the one fixed by [`Isa::fix`], else the one that the environment variable
+    /// [`Isa::VARIABLE`] names, else the widest that the machine has. A variable that names no instruction set of this
+    /// machine counts as absent; the beginning of a fit refuses such a variable by [`Isa::chosen`].
     pub fn best() -> Isa {
         static DEFAULT: OnceLock<Isa> = OnceLock::new();
         FIXED.get().copied().unwrap_or_else(|| *DEFAULT.get_or_init(|| Isa::chosen().unwrap_or_else(|_| Isa::widest())))
@@ -99,27 +101,27 @@ impl Isa {
     /// Makes [`Isa::best`] return this instruction set from now on, so that different machines give the same bits.
     ///
     /// # Errors
-    /// The instruction set that was fixed before, when it is a different one.
+    /// The error is the instruction set fixed before, where that differs from this one.
     pub fn fix(self) -> Result<(), Isa> {
         let fixed = *FIXED.get_or_init(|| self);
         if fixed == self { Ok(()) } else { Err(fixed) }
     }
 
-    /// Words for all instruction sets, also for those that this machine lacks.
+    /// The words of all instruction sets, including instruction sets that this machine lacks.
     pub const WORDS: [&'static str; 4] = ["portable", "neon", "avx2", "avx512"];
 
-    /// The instruction set with this word; `None` when this machine does not have it.
+    /// The instruction set whose [`Isa::word`] is `word`; `None` if this machine has no such instruction set.
     pub fn named(word: &str) -> Option<Isa> {
         Isa::all().iter().copied().find(|isa| isa.word() == word)
     }
 
-    /// One number at a time, with the same bits as a lane of this instruction set, except that reciprocals may differ
-    /// by a rounding or two.
+    /// Arithmetic on one number at a time. Results have the same bits as in a lane of this instruction set, except that
+    /// reciprocals may differ by a rounding or two.
     pub fn alone(self) -> Alone {
         Alone { fused: self != Isa::PORTABLE }
     }
 
-    /// The word for this instruction set.
+    /// The word for this instruction set, one of [`Isa::WORDS`].
     pub fn word(self) -> &'static str {
         match self.0 {
             IsaKind::Portable => "portable",
@@ -132,7 +134,7 @@ impl Isa {
         }
     }
 
-    /// All instruction sets that this machine has, the best one last.
+    /// All instruction sets that this machine has, the widest one last.
     pub fn all() -> &'static [Isa] {
         static ALL: OnceLock<Vec<Isa>> = OnceLock::new();
         ALL.get_or_init(detected)
@@ -180,7 +182,7 @@ impl Isa {
     }
 }
 
-/// One number at a time, with fused products or without.
+/// Arithmetic on one number at a time, with fused products or without.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Alone {
     fused: bool,
@@ -192,8 +194,8 @@ impl Alone {
         match self.fused {
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             true => kernel.run::<crate::fused::Fused>(),
-            // SAFETY: `Isa::alone` made this value from an `Isa` that `detected` made; all of those but the portable one
-            // have AVX2 and FMA.
+            // SAFETY: `Isa::alone` made this value from an `Isa` that `detected` made; every such `Isa` but the
+            // portable one has AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             true => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
             _ => kernel.run::<f64>(),
@@ -201,7 +203,7 @@ impl Alone {
     }
 }
 
-/// Several numbers in lanes or one at a time, where only the work at hand decides which.
+/// Arithmetic in lanes or on one number at a time, for work of which only the size decides between the two.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Width {
     /// As many numbers as the registers hold.

@@ -1,7 +1,8 @@
 //! Numbers in lanes: kernels written once over [`Real`] work on one test, on four or on eight at a time.
 //!
-//! [`Isa::run`] runs a [`Kernel`] with the widest registers that the machine has. What a kernel calls must be
-//! `#[inline(always)]`, down to the arithmetic: only code that becomes part of the kernel is compiled for those registers.
+//! [`Isa::run`] runs a [`Kernel`] with the widest registers that the machine has. A function that a kernel calls must
+//! be `#[inline(always)]`, down to the arithmetic: only code inlined into the kernel is compiled for the registers of
+//! the kernel.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -19,22 +20,22 @@ pub use isa::{Alone, Isa, Kernel, UnknownInstructions, Width};
 pub use portable::Four;
 pub use real::{Counted, Flops, Part, Real};
 
-/// Several numbers in lanes, which are read from and written to memory together.
+/// Several numbers, one in each lane, which are read from memory together and written to memory together.
 pub trait Lanes: Real + Send + Sync {
     /// Number of lanes.
     const COUNT: usize;
 
-    /// Largest size q of q × q matrices that are worth a separate kernel, which keeps them in registers; 0 where the
-    /// registers are not known, small where there are few.
+    /// Largest q for which q × q matrices have a separate kernel that keeps the matrices in registers; 0 where the
+    /// registers are not known.
     const OWN_SIZES: usize;
 
-    /// Reads the first [`Self::COUNT`] numbers of a slice, which must have at least as many.
+    /// Reads the first [`Self::COUNT`] numbers of `from`, a slice of at least [`Self::COUNT`] numbers.
     fn load(from: &[f64]) -> Self;
 
-    /// Writes all lanes to the start of a slice, which must have room for them.
+    /// Writes the numbers of all lanes to the start of `to`, a slice of at least [`Self::COUNT`] numbers.
     fn store(self, to: &mut [f64]);
 
-    /// The number in one lane.
+    /// The number in lane `lane`, 0 ≤ `lane` < [`Self::COUNT`].
     #[inline(always)]
     fn lane(self, lane: usize) -> f64 {
         let mut all = [0.0; MOST];
@@ -42,7 +43,7 @@ pub trait Lanes: Real + Send + Sync {
         all[lane]
     }
 
-    /// Sum of all lanes, added in an order that is always the same.
+    /// Sum of the numbers of all lanes, added in a fixed order.
     #[inline(always)]
     fn sum(self) -> f64 {
         let mut all = [0.0; MOST];
@@ -58,11 +59,11 @@ pub trait Lanes: Real + Send + Sync {
     }
 }
 
-/// Largest number of lanes of any kind of number.
+/// Largest [`Lanes::COUNT`] of all types of numbers.
 pub const MOST: usize = 8;
 
-/// Interleaves `lists` lists, at least one, one in each lane; the result is as long as the first. Lanes beyond the last
-/// list repeat it.
+/// Interleaves `lists` ≥ 1 lists: element i of the result holds `list(k)[i]` in lane k, and lanes beyond the last list
+/// repeat the last list. The result is as long as the first list; no other list may be shorter.
 #[inline(always)]
 pub fn interleaved<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
     let mut all: [&[f64]; MOST] = [&[]; MOST];

@@ -1,11 +1,11 @@
 //! Four numbers in two NEON registers, with fused multiply-add.
 //!
-//! Every operation rounds as in AVX2, and there are as many lanes: kernels give the same bits with both.
+//! NEON and AVX2 have four lanes and equal roundings of every operation: a kernel gives equal bits with both.
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! Every intrinsic needs NEON; by this module's `cfg` every processor of the target has it. Loads and stores check the
-//! length of their slice and need no alignment.
+//! Every intrinsic needs NEON, which every processor of the target has: this module is compiled for no other target.
+//! Loads and stores check the length of the slice and need no alignment.
 #![expect(unsafe_code, reason = "intrinsics of instructions that every processor of the target has")]
 
 use std::arch::aarch64::*;
@@ -44,7 +44,7 @@ impl Neg for Neon {
 }
 
 impl Neon {
-    /// `other` where `other` is not a number or `first < second`, else `self`.
+    /// `other` where `other` is NaN or `first < second`, else `self`.
     #[inline(always)]
     fn unless(self, other: Neon, first: Neon, second: Neon) -> Neon {
         // SAFETY: see the module

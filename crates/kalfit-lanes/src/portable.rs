@@ -1,10 +1,10 @@
-//! Four numbers in lanes of a plain array, for machines whose registers are not known here.
+//! Four numbers in lanes of a plain array, for machines without AVX2 and without NEON.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::{Lanes, Real};
 
-/// Four numbers in a plain array.
+/// Four numbers in a plain array, one in each lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Four(pub [f64; 4]);
 

@@ -3,15 +3,16 @@
 use std::cell::Cell;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// A number, or several in lanes. Kernels never branch on its value, because lanes could not.
+/// A number, or several numbers in lanes. Kernels never branch on the value of a number, since lanes may hold different
+/// values.
 pub trait Real:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
-    /// The same number in every lane.
+    /// The number `x` in every lane.
     fn splat(x: f64) -> Self;
-    /// self × factor + addend; one rounding where the machine has the instruction.
+    /// self × factor + addend, rounded once where the machine has an instruction for the sum.
     fn fma(self, factor: Self, addend: Self) -> Self;
-    /// addend - self × factor.
+    /// addend - self × factor, rounded as in `fma`.
     fn fnma(self, factor: Self, addend: Self) -> Self;
     /// The smaller of the two; NaN if either is NaN.
     fn minimum(self, other: Self) -> Self;
@@ -19,7 +20,7 @@ pub trait Real:
     fn maximum(self, other: Self) -> Self;
     /// Absolute value.
     fn magnitude(self) -> Self;
-    /// Whether self ≤ `bound` in every lane; false if either is NaN.
+    /// Whether self ≤ `bound` in every lane; false if a lane of either is NaN.
     fn at_most(self, bound: Self) -> bool;
     /// 1/x to a rounding or two, for a normal x whose reciprocal is normal.
     #[inline(always)]
@@ -39,8 +40,8 @@ pub trait Real:
     fn root(self) -> Self;
     /// (m, e) with x = m 2^e, 1 ≤ m < 2 and e a whole number, for a positive finite x.
     fn split(self) -> (Self, Self);
-    /// Runs a part of a kernel as a separate function, compiled for the registers of these numbers: code used in many
-    /// places need not be inlined into each of them.
+    /// Runs a part of a kernel as a separate function, compiled for the instructions of this type of number: code that
+    /// a kernel uses in many places need not be inlined into each place.
     #[inline(never)]
     fn apart<P: Part>(part: P) -> P::Output {
         part.run()
@@ -64,7 +65,7 @@ impl Real for f64 {
 
     #[inline(always)]
     fn fma(self, factor: f64, addend: f64) -> f64 {
-        // Without the instruction `mul_add` is a slow library call.
+        // Without a fused instruction, `mul_add` is a slow library call.
         if cfg!(target_feature = "fma") { self.mul_add(factor, addend) } else { self * factor + addend }
     }
 
@@ -119,7 +120,7 @@ impl Real for f64 {
     }
 }
 
-/// Floating-point operations done by [`Counted`] numbers.
+/// Numbers of floating-point operations on [`Counted`] numbers, by kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Flops {
     /// Additions and subtractions.
@@ -136,12 +137,12 @@ thread_local! {
     static FLOPS: Cell<Flops> = const { Cell::new(Flops { add: 0, mul: 0, fma: 0, div: 0 }) };
 }
 
-/// A number that counts the operations done with it on this thread.
+/// A number whose operations are counted, separately on each thread.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Counted(pub f64);
 
 impl Counted {
-    /// Operations that `work` does on this thread.
+    /// Numbers of the operations on [`Counted`] numbers that `work` does on this thread.
     pub fn count(work: impl FnOnce()) -> Flops {
         FLOPS.set(Flops::default());
         work();

@@ -1,12 +1,12 @@
-//! What is assumed of every test, and what is given of it: models, rows of data, and the evidence of each phase.
+//! Models, rows of data, and the evidence of each phase of a test.
 //!
 //! ```text
 //! Model::builder ── build ──> PhasedModel ┐
 //! rows of data ── Test ───────────────────┴─ PhasedModel::split ──> PhasedTest { Evidence of each phase }
 //! ```
 //!
-//! The crate holds no filter: a [`Reduction`] is a value here, and `kalfit-filter` makes it. Users meet all of it as
-//! modules of the crate `kalfit`.
+//! The crate contains no filter: `kalfit-filter` makes the values of [`Reduction`]. The crate `kalfit` exports these
+//! modules to users.
 
 pub mod build;
 pub mod ensemble;

@@ -1,8 +1,8 @@
-//! Estimates along the records of tests, as numbers for charts. They are no part of fit.json.
+//! Estimates at the steps of tests, as numbers for charts; not part of fit.json.
 
 use crate::CurveRecord;
 
-/// Estimates along the records of the tests of a fit.
+/// Estimates at the steps of the tests of a fit.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AlongRecord {
     /// Unit label of the model's time.
@@ -13,13 +13,13 @@ pub struct AlongRecord {
     pub allan_notes: Vec<String>,
     /// Results of some tests, the least probable first.
     pub tests: Vec<TestAlong>,
-    /// Number of all tests.
+    /// Number of all tests of the fit.
     pub of: usize,
     /// Notes on what is not shown, and why, in plain words.
     pub notes: Vec<String>,
 }
 
-/// One test along its records.
+/// Results of one test at the steps of the records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TestAlong {
     /// Id of the test.
@@ -28,7 +28,7 @@ pub struct TestAlong {
     pub phases: Vec<PhaseAlong>,
 }
 
-/// One phase of a test along its record.
+/// Results of one phase of a test at the included steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseAlong {
     /// Name of the phase.
@@ -56,7 +56,7 @@ pub struct StateAlong {
     pub std_dev: Vec<f64>,
 }
 
-/// Measured values, with their predictions by the filter.
+/// Measured values of one measurement, with the predictions by the filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasurementAlong {
     /// Name of the measurement.
@@ -65,9 +65,9 @@ pub struct MeasurementAlong {
     pub values: usize,
     /// Times of the values that are included.
     pub at: Vec<f64>,
-    /// Measured values at these times.
+    /// Measured values at the times `at`.
     pub measured: Vec<f64>,
-    /// Predictions of these values from all earlier steps.
+    /// Predictions of the values `measured`, each from all earlier steps.
     pub predicted: Vec<f64>,
     /// Standard deviations of the predictions, including the noise of the measurement.
     pub std_dev: Vec<f64>,
@@ -77,7 +77,7 @@ pub struct MeasurementAlong {
     pub innovations_at: Vec<f64>,
     /// Included innovations e/√S, N(0, 1) when the model is right.
     pub standardised: Vec<f64>,
-    /// Sorted innovations as (quantile of N(0, 1) for the rank among all, innovation): some of them, with both tails
+    /// (Quantile of N(0, 1) for the rank among all innovations, innovation) of some innovations, sorted; both tails are
     /// complete.
     pub quantiles: Vec<[f64; 2]>,
 }

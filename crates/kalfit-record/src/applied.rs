@@ -136,18 +136,18 @@ pub struct FarRecord {
     pub p_corrected: f64,
 }
 
-/// Origin of the parameters, and what is known of them.
+/// Origin of the parameters, and facts about the fit.
 #[derive(Debug, Clone)]
 pub struct AppliedSource {
     /// Origin, as named by the user.
     pub name: String,
-    /// Number of tests, or groups of the outermost level, that the population was estimated from, where it is known.
+    /// Number of tests, or groups of the outermost level, that the population was estimated from; `None` where unknown.
     pub fitted: Option<usize>,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
     /// What the laws allow for.
     pub basis: Basis,
-    /// Number of the tests that are among those that the parameters were estimated from.
+    /// Number of applied tests that the parameters were also estimated from.
     pub own: usize,
     /// Variances and noise levels that were estimated as zero.
     pub at_zero: Vec<String>,
@@ -175,8 +175,8 @@ impl From<Law> for LawRecord {
 }
 
 impl FitRecord {
-    /// Number of these tests that are among those that the fit was made from, by id and log density. For a fit that
-    /// does not list its tests it is all or none.
+    /// Number of `tests` that the fit was also made from, by id and log density; all or none for a fit that does not
+    /// list tests.
     pub fn own_tests(&self, tests: &[PhasedTest], said: &Said) -> usize {
         /// Relative difference between computations of one log density on two machines.
         const DENSITY_TOLERANCE: f64 = 1e-9;
@@ -195,8 +195,8 @@ impl FitRecord {
 }
 
 impl AppliedRecord {
-    /// Record of the results of tests, with parameters from `source`. `groups`: which tests stand in one group, and the
-    /// names.
+    /// Record of the results of tests, with parameters from `source`. `groups`: grouping of the tests, and names of the
+    /// groups.
     pub fn new(
         model: &PhasedModel,
         source: AppliedSource,

@@ -52,8 +52,8 @@ impl FitRecord {
         FitRecord::at(model, reductions, estimate, inference, (parameters, None), provenance)
     }
 
-    /// The record of μ and Σ, with the given records of the parameters, and the slots of free ones with the texts of
-    /// their levels.
+    /// The record of a fit of μ and Σ. `parameters`: records of the dynamic parameters; `slots`: slots of the free
+    /// parameters, with the labels of the levels.
     pub(super) fn at(
         model: &PhasedModel,
         reductions: &Reductions,
@@ -122,7 +122,8 @@ fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
     DataRecord { tests, steps, observations, design_classes: designs, square_root_tests, files }
 }
 
-/// Scores below the rounding errors have no meaning, so the rounding errors take their place.
+/// The record of the certificate. A score below the rounding error has no meaning, so the rounding error is recorded
+/// instead.
 fn certificate(estimate: &Estimate) -> CertificateRecord {
     let Certificate { mean, covariance, null_space, rounding, .. } = estimate.certificate;
     let least = |score: f64, free: usize| if free > 0 { score.max(rounding) } else { score };
@@ -256,7 +257,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
     tests
 }
 
-/// Whether some test has a phase in which a filter's estimates replace the measurements.
+/// Whether a test has a phase in which estimates of a filter replace the measurements.
 fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
     let has = |phase: usize| {
         reductions.remote().is_some() || reductions.iter().any(|reduction| phases_of(reduction, model) > phase)
@@ -264,7 +265,8 @@ fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
     model.phases.iter().enumerate().any(|(i, phase)| phase.filter.is_some() && has(i))
 }
 
-/// Numbers of the design classes, from 1 in the order of the tests: (digest, number), by digest.
+/// (Digest of the design, number of the class) of each design class, sorted by digest. Numbers start at 1, in the order
+/// of the tests.
 struct DesignClasses(Vec<(u128, usize)>);
 
 impl DesignClasses {
@@ -331,7 +333,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     notes
 }
 
-/// Note on rounding errors, where these are larger than the error that the search leaves.
+/// Note on rounding errors that are larger than the error of the search; `None` where the rounding errors are smaller.
 fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
     let certificate = &estimate.certificate;
     if !certificate.is_limited_by_rounding() {

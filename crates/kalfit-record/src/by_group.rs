@@ -36,8 +36,8 @@ pub struct GroupRecord {
     pub p_value: Option<f64>,
 }
 
-/// Do the groups differ: μ and Σ of each group by itself against those of all tests, by likelihood ratio at the fitted dynamic
-/// parameters.
+/// Do the groups differ: μ and Σ of each group by itself against those of all tests, by likelihood ratio at the fitted
+/// dynamic parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupTestRecord {
     /// Number of groups.

@@ -7,18 +7,19 @@ use nalgebra::DMatrix;
 use kalfit_filter::reduce::ReductionRef;
 use kalfit_model::{CovarianceStructure, GroupLevel, Phase, PhasedModel, Regression};
 
-/// One block of Σ, a phase or a level, with the ranges of its elements and regressions among those of all blocks.
+/// One block of Σ, of a phase or a level, with the ranges of the block's elements and regressions in the lists over all
+/// blocks.
 #[derive(Debug, Clone)]
 pub(super) struct BlockCut<'a> {
     /// The phase; for a level of groups, the only phase of the model.
     pub(super) phase: &'a Phase,
     /// The level of groups, if the block is one.
     pub(super) level: Option<&'a GroupLevel>,
-    /// Index among the blocks of Σ.
+    /// Index of the block among the blocks of Σ.
     pub(super) index: usize,
-    /// Elements of the block among those of all blocks.
+    /// Range of the block's elements among the elements of all blocks.
     pub(super) elements: Range<usize>,
-    /// Regressions of the block among those of all phases.
+    /// Range of the block's regressions among the regressions of all phases.
     pub(super) regressions: Range<usize>,
 }
 
@@ -59,7 +60,7 @@ impl<'a> BlockCut<'a> {
         self.level.map_or(&self.phase.model.covariance, |level| &level.covariance)
     }
 
-    /// Names of the block's states, as they are in the phase.
+    /// Names of the block's states, without the name of the phase.
     pub(super) fn states(&self) -> Vec<String> {
         self.phase.model.estimated_names()
     }
@@ -80,7 +81,7 @@ impl<'a> BlockCut<'a> {
         self.elements.clone().map(of).collect()
     }
 
-    /// Index within the block of an element among those of all blocks; `None` if it is in another block.
+    /// Index within the block of an element, given by index over all blocks; `None` if the element is in another block.
     pub(super) fn element(&self, of_all: usize) -> Option<usize> {
         self.elements.contains(&of_all).then(|| of_all - self.elements.start)
     }

@@ -72,7 +72,8 @@ pub struct CurveRecord {
     pub phase: String,
     /// Unit of the deviations.
     pub unit: Option<String>,
-    /// Time from a value to the next: the median of the records, or as given; 1 where rows have no times; null where it is not known.
+    /// Time from a value to the next: the median of the records, or as given; 1 where rows have no times; null where it
+    /// is not known.
     pub step: Option<f64>,
     /// Columns that were taken as zero for the curve of the model.
     pub zero: Vec<String>,

@@ -28,13 +28,14 @@ impl ObservabilityRecord {
     }
 }
 
-/// Id of the leading test, and its share.
+/// (Id of the leading test, share of the test in the information).
 pub(super) fn named(leading: &Option<Leading>) -> (Option<String>, Option<f64>) {
     (leading.as_ref().map(|l| l.test.clone()), leading.as_ref().map(|l| l.share))
 }
 
 impl InnovationRecord {
-    /// Figures of innovations at an estimate of a model. Panics when they are of another model with more phases or measurements.
+    /// Figures of innovations at an estimate of a model. Panics when the innovations are of another model with more
+    /// phases or measurements.
     pub fn new(found: &Innovations, model: &PhasedModel) -> InnovationRecord {
         let p = model.dimension();
         let part = |part: Part| {

@@ -14,7 +14,7 @@ const MOST_TERMS: usize = 6;
 struct Entries {
     /// Phase of each entry.
     phase: Vec<usize>,
-    /// Name of each entry within its phase.
+    /// Name of each entry without the name of the phase.
     own: Vec<String>,
     /// Name of each entry among all phases, as in a combination: `align.bias`, `cov(align.bias, align.tilt)`.
     full: Vec<String>,
@@ -79,13 +79,13 @@ impl Entries {
         self.full.push(full);
     }
 
-    /// Names of the entries of one phase, as they are within it.
+    /// Names of the entries of one phase, without the name of the phase.
     fn names(&self, phase: usize) -> Vec<String> {
         let own = self.own.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
         own.map(|(name, _)| name.clone()).collect()
     }
 
-    /// The parts of a direction in all phases that it involves.
+    /// The part of a direction in each phase that the direction involves.
     fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<PhaseDirection> {
         let cuts = BlockCut::blocks(model);
         let counts = |phase: &usize| {
@@ -125,7 +125,7 @@ impl Entries {
 
 impl UnidentifiedRecord {
     /// Directions with named elements, and reasons in words, by phase. A direction that mixes phases is listed in each
-    /// of them with that phase's part; [`crossing_notes`] has the whole.
+    /// phase, with the part of the phase; [`crossing_notes`] states the whole direction.
     pub fn by_phase(
         model: &PhasedModel,
         directions: &[Direction],
@@ -153,8 +153,8 @@ impl UnidentifiedRecord {
 }
 
 impl WeakRecord {
-    /// The weakly determined directions, by phase. A direction that mixes phases is listed in each of them with that
-    /// phase's part; [`crossing_notes`] has the whole.
+    /// The weakly determined directions, by phase. A direction that mixes phases is listed in each phase, with the part
+    /// of the phase; [`crossing_notes`] states the whole direction.
     pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<WeakRecord>> {
         let entries = Entries::mean(model, false);
         let mut records = vec![Vec::new(); BlockCut::blocks(model).len()];
@@ -170,7 +170,7 @@ impl WeakRecord {
 }
 
 impl InformationRecord {
-    /// Information that each phase adds; `None` where there is only one phase, or where it is not known.
+    /// Information that each phase adds; `None` where there is only one phase, or where the information is not known.
     pub fn by_phase(model: &PhasedModel, seen: &[PhaseObservability]) -> Vec<Option<InformationRecord>> {
         if model.is_single() || seen.len() != model.phases.len() {
             return vec![None; model.phases.len()];
@@ -187,7 +187,7 @@ impl InformationRecord {
     }
 }
 
-/// A combination without its zero weights.
+/// A combination of states, without the states of zero weight.
 fn entered(names: &[String], weights: &[f64]) -> EnteredRecord {
     let counts = weights.iter().zip(names).filter(|(weight, _)| **weight != 0.0);
     let (direction, elements) = counts.map(|(weight, name)| (*weight, name.clone())).unzip();

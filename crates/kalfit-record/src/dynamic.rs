@@ -14,7 +14,8 @@ use kalfit_search::{DynamicFit, Explored, Method, ParameterInference, Standing};
 
 /// Largest difference of log-likelihoods at which two searches count as equally high.
 const EQUAL_HEIGHT: f64 = 1e-4;
-/// Largest difference of two values, in parts of their standard error or of themselves, at which they count as equal.
+/// Largest difference at which two values count as equal, as a fraction of the standard error, or of the value without
+/// one.
 const EQUAL_VALUE: f64 = 0.05;
 
 /// Number of filter runs above which a note compares EM with the hybrid method.
@@ -27,13 +28,13 @@ const CUT_SHORT: &str =
 /// Note for ensembles of many rows.
 const ON_A_SAMPLE: &str = "other maxima were searched for on a part of the data, because there are many rows";
 
-/// Note for several free processes; its figure is from trials with random models.
+/// Note for several free processes; the figure of 1 in 200 fits is from trials with random models.
 const SEVERAL_PROCESSES: &str = "several processes are free, and a higher maximum can be missed: in trials with random models about 1 of 200 fits missed one; `--starts` adds more starts";
 
 /// Note for ensembles whose data are elsewhere.
 const ONE_SEARCH: &str = "no other maxima were searched for, because a fit by sums makes one search only; `start` in the model begins it elsewhere";
 
-/// Addition to the note on a value that is estimated as zero: how to get its upper limit.
+/// Addition to the note on a value that is estimated as zero: how to get an upper limit.
 const LIMIT_HINT: &str = "; `--intervals profile` gives the upper limit";
 
 /// Advice where ℓ has no maximum.
@@ -60,7 +61,7 @@ impl FitRecord {
         let &DynamicParts { model, labels, fit, inference, parameters: inferred } = parts;
         let mut parameters = parameters::estimated(model.shared(), labels, fit, inferred);
         if !converged(fit) {
-            // where the search did not reach a maximum, the standing of the values is not known
+            // without a maximum, the standing of the values is not known
             parameters.iter_mut().for_each(|p| (p.standing, p.note) = (None, None));
         }
         let mut record = FitRecord::at(
@@ -106,7 +107,7 @@ impl FitRecord {
         record
     }
 
-    /// Adds where several methods ended, this record's method included; a note reports methods that disagree.
+    /// Adds the results of several methods, including the method of this record, and a note on methods that disagree.
     pub fn add_methods(&mut self, methods: Vec<MethodRecord>) {
         let differs = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL_HEIGHT;
         let differ: Vec<String> = methods
@@ -248,7 +249,7 @@ fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
     Some(format!("`{}` has no effect while {} {verb} zero", model.parameters[index].name, named.join(" and ")))
 }
 
-/// A parameter with some of its levels, in words: `tau`, or `sigma` at `lot` A, B and 7 more.
+/// A parameter with some levels, in words: `tau`, or `sigma` at `lot` A, B and 7 more.
 fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
     match parameter.per {
         None => format!("`{}`", parameter.name),
@@ -259,7 +260,7 @@ fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
     }
 }
 
-/// Notes on other starts that ended elsewhere.
+/// Notes on searches from other starts: lower maxima, other α of equal ℓ, searches that were stopped or not certified.
 fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let fit = parts.fit;
     let what = if fit.estimate.criterion == Criterion::Reml { "restricted log-likelihood" } else { "log-likelihood" };

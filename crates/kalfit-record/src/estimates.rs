@@ -62,7 +62,7 @@ fn parameter_name(name: &str, level: Option<&str>) -> String {
 }
 
 impl EstimatesRecord {
-    /// Free values of `found` are numbered as in the slots; `labels`: texts of their levels.
+    /// Free values of `found` are in the order of the slots; `labels`: texts of the levels of the free values.
     pub(super) fn new(
         model: &PhasedModel,
         found: &EstimateCovariance,
@@ -88,8 +88,8 @@ impl EstimatesRecord {
 }
 
 impl FitRecord {
-    /// Errors of the estimates, for a model with the same states and parameters; `None` where the record does not
-    /// contain them, or has them for other names.
+    /// Errors of the estimates, for a model with the same states and parameters; `None` where the record contains no
+    /// errors, or errors of estimates with different names.
     pub fn knowledge(&self, model: &PhasedModel) -> Option<Knowledge> {
         let record = self.estimates.as_ref()?;
         let size = record.names.len();

@@ -45,8 +45,8 @@ fn count(column: usize, labels: &Labels, tests: &[PhasedTest]) -> Vec<(String, u
     named
 }
 
-/// Notes on fixed levels that the data do not have, in sentences without a full stop: a misspelt level leaves the one
-/// that was meant free.
+/// Notes on fixed levels that the data do not have, in sentences without a full stop: a misspelt level leaves the
+/// intended level free.
 pub fn level_notes(model: &Model, counts: &[LevelCounts]) -> Vec<String> {
     let mut notes = Vec::new();
     for LevelCounts { parameter, tests } in counts {

@@ -132,7 +132,8 @@ pub struct FitRecord {
     /// Results of each group, level by level, the outermost first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<UnitRecord>,
-    /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its levels.
+    /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its
+    /// levels.
     pub parameters: Vec<ParameterRecord>,
     /// The covariance of all estimates; null for more than 200 of them, and in records of older versions.
     #[serde(default)]

@@ -1,8 +1,8 @@
-//! Whether the model describes the data, as shown by the fit's own figures; to be known before its estimates are used.
+//! Whether the model describes the data, by the figures of the fit; to be known before the estimates are used.
 //!
-//! Findings are contradictions by the data. That one test decides much of the answer is a remark instead: small
-//! ensembles of a correct model have such tests. A singular Σ is neither: the fit reports it in its first sentence and
-//! among its limits.
+//! Findings are contradictions by the data. One test that decides much of the answer is only a remark, because small
+//! ensembles of a correct model have such tests. A singular Σ is neither: the fit reports a singular Σ in the first
+//! sentence and among the limits.
 
 use std::cmp::Ordering;
 
@@ -62,7 +62,7 @@ impl ModelCheckRecord {
         ModelCheckRecord { verdict: verdict.to_owned(), findings, remarks }
     }
 
-    /// Whether something speaks against the model.
+    /// Whether there are findings, evidence against the model.
     pub fn is_doubtful(&self) -> bool {
         !self.findings.is_empty()
     }
@@ -99,7 +99,8 @@ pub fn overall_size(count: usize, nis: f64, free: usize) -> Ordering {
     }
 }
 
-/// Median of χ² with k degrees of freedom, by Wilson and Hilferty: the displacement at the edge of the 50 % confidence region.
+/// Median of χ² with k degrees of freedom, by Wilson and Hilferty: the displacement at the edge of the 50 % confidence
+/// region.
 pub fn displacement_limit(k: usize) -> f64 {
     let k = k.max(1) as f64;
     k * (1.0 - 2.0 / (9.0 * k)).powi(3)
@@ -109,7 +110,7 @@ fn innovations_of(record: &FitRecord) -> impl Iterator<Item = (&str, &Innovation
     record.tests.iter().filter_map(|test| Some((test.id, test.innovations?)))
 }
 
-/// (p-value, test, whether it is of the correlation of innovations), for all tests.
+/// (p-value, id of the test, whether the p-value is of the correlation of the innovations), for all tests.
 fn innovation_p_values(record: &FitRecord) -> impl Iterator<Item = (f64, &str, bool)> {
     innovations_of(record).flat_map(|(id, figures)| {
         let white = figures.whiteness.as_ref().map(|w| w.p_value);

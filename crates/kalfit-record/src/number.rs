@@ -4,7 +4,7 @@
 const LARGE: f64 = 1e7;
 const SMALL: f64 = 1e-4;
 
-/// A number with this many significant digits and no trailing zeros; `unknown` where it is not finite.
+/// The number `x` with `digits` significant digits and no trailing zeros; `unknown` where `x` is not finite.
 pub fn plain(x: f64, digits: usize) -> String {
     if !x.is_finite() {
         return "unknown".to_owned();

@@ -8,11 +8,13 @@ use kalfit_filter::reduce::ReductionRef;
 use kalfit_model::FreeStates;
 use kalfit_model::unpack;
 
-/// Largest number of tests for which estimates from single tests are recorded: they double the size of the record.
+/// Largest number of tests for which estimates from single tests are recorded; such estimates double the size of the
+/// record.
 pub(super) const MOST_SINGLE_ESTIMATES: usize = 2000;
 /// Eigenvalue of J, scaled to unit diagonal, below which a direction has no information.
 const LEAST_EIGENVALUE: f64 = 1e-11;
-/// A state is determined where its part along directions without information is at most this.
+/// Largest norm of the part of a state's unit vector along directions without information at which the state counts as
+/// determined.
 const MOST_UNOBSERVED_PART: f64 = 1e-6;
 
 /// The estimate of ξ in one phase from the test alone, without the population.
@@ -68,7 +70,7 @@ impl TestEstimate {
             |i: usize| (0..p).filter(|&k| values[k] < LEAST_EIGENVALUE).fold(0.0, |n: f64, k| n.hypot(vectors[(i, k)]));
         let determined: Vec<bool> =
             (0..p).map(|i| scale[i] > 0.0 && unobserved_part(i) <= MOST_UNOBSERVED_PART).collect();
-        // S = V diag(1/λ) V' in directions with information; the inverse in the units of the states is D S D
+        // S = V diag(1/λ) V' over directions with information; J⁺ in the units of the states is D S D
         let root =
             DMatrix::from_fn(
                 p,
@@ -88,7 +90,7 @@ impl TestEstimate {
         }
     }
 
-    /// Part of one phase; `None` where none of its states is determined.
+    /// The estimate in one phase; `None` where no state of the phase is determined.
     pub(super) fn part(&self, cut: &super::cut::BlockCut<'_>) -> Option<OwnRecord> {
         let mean = cut.list(&self.mean);
         mean.iter().any(Option::is_some).then(|| OwnRecord { mean, covariance: cut.square(&self.covariance) })

@@ -72,12 +72,12 @@ pub struct MethodRecord {
     pub seconds: f64,
 }
 
-/// Parameters of a model without free parameters; the texts of all their levels are in the model.
+/// Records of the parameters of a model without free parameters; the texts of all levels are literals of the model.
 pub(super) fn fixed(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
     all(model, &|label| model.literals[label.index()].clone(), alpha, &|_| None)
 }
 
-/// Parameters of a model in which some were estimated.
+/// Records of the parameters of a model with free parameters.
 pub(super) fn estimated(
     model: &Model,
     labels: &Labels,
@@ -194,7 +194,7 @@ pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
 }
 
 impl StartRecord {
-    /// Records of where other starts ended.
+    /// Records of the ends of the searches from other starts.
     pub(super) fn all(fit: &DynamicFit) -> Vec<StartRecord> {
         let record = |end: &kalfit_search::OtherEnd| StartRecord {
             log_likelihood: end.log_likelihood,

@@ -199,8 +199,9 @@ pub struct BoundaryRecord {
 pub struct UnidentifiedRecord {
     /// `mean` or `covariance`.
     pub what: String,
-    /// Unit vector over the states and regression coefficients (mean), or over the covariance elements, in their units: zero where an
-    /// element takes no part. Where the direction mixes phases, this phase's part of it; a note names the whole.
+    /// Unit vector over the states and regression coefficients (mean), or over the covariance elements, in their units:
+    /// zero where an element takes no part. Where the direction mixes phases, this phase's part of it; a note names the
+    /// whole.
     pub direction: Vec<f64>,
     /// Names of the entries of `direction`.
     #[serde(default)]
@@ -238,7 +239,8 @@ pub struct ObservabilityRecord {
 pub struct WeakRecord {
     /// Unit vector over the states. Where the direction mixes phases, this phase's part of it; a note names the whole.
     pub direction: Vec<f64>,
-    /// Condition index: how many times less precisely it is known than the best known direction, states in comparable units.
+    /// Condition index: how many times less precisely it is known than the best known direction, states in comparable
+    /// units.
     pub condition: f64,
     /// The test with the most information on it.
     pub leading_test: Option<String>,

@@ -23,7 +23,7 @@ const TESTS: &str = "tests";
 /// The only kind of filter there is.
 const KALMAN_SCHMIDT: &str = "kalman-schmidt";
 
-/// Results of each phase, and of each level of groups: the outermost level first, that of the tests last.
+/// Results of each phase, and of each level of groups: the outermost level first, the level of the tests last.
 pub(super) fn phases_and_levels(
     model: &PhasedModel,
     estimate: &Estimate,
@@ -108,7 +108,7 @@ fn phase(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> Phas
     }
 }
 
-/// A singular block of Σ, if it belongs to this phase.
+/// The record of a singular block of Σ; `None` if the block is of another phase.
 fn boundary(cut: &BlockCut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
     let names = |of: &[usize]| of.iter().filter_map(|&i| Some(states[cut.element(i)?].clone())).collect::<Vec<_>>();
     let own = names(&found.states);
@@ -130,7 +130,7 @@ fn filter(cut: &BlockCut<'_>) -> Option<FilterRecord> {
 }
 
 impl InformationLostRecord {
-    /// Information lost on the quantities of one phase; the determinant is that of all phases together.
+    /// Information lost on the quantities of one phase; the determinant is of all phases together.
     pub fn new(model: &PhasedModel, phase: usize, lost: &InformationLost) -> InformationLostRecord {
         let range = &model.ranges()[phase];
         let p = range.len();
@@ -222,7 +222,7 @@ fn covariance(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) ->
     }
 }
 
-/// Interval of β, in proportion to that of the largest variance.
+/// Interval of β: the interval of the largest variance times β over the variance.
 fn scale_interval(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
     let variance = |i: usize| estimate.covariance[(i, i)];
     let i = cut.elements.clone().max_by(|&a, &b| variance(a).total_cmp(&variance(b)))?;
@@ -230,7 +230,7 @@ fn scale_interval(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference
     (variance(i) > 0.0).then(|| scaled(ends, beta / variance(i)))
 }
 
-/// Both ends times a factor, the lower one first.
+/// Both ends times a factor, the lower end first.
 fn scaled(ends: [Option<f64>; 2], factor: f64) -> [Option<f64>; 2] {
     let [a, b] = ends.map(|end| end.map(|x| x * factor));
     if factor < 0.0 { [b, a] } else { [a, b] }

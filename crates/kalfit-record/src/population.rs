@@ -108,7 +108,7 @@ impl FitRecord {
     }
 }
 
-/// Adds one phase to the population of all; in messages, `of` follows the name of a thing.
+/// Adds one phase to `whole`, the population of all phases. `of`: words after a name in messages, such as the phase.
 fn add(whole: &mut Population, cut: &BlockCut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
     let place = places(format!("the estimated states{of}"), &phase.states, &cut.states())?;
     refuse_ragged(phase, place.len(), of)?;
@@ -147,7 +147,7 @@ fn coefficients(phase: &PhaseRecord, cut: &BlockCut<'_>, of: &str) -> Result<Vec
     Ok(place.iter().map(|&r| phase.mean.regression[r].estimate).collect())
 }
 
-/// Index of each expected name among those found.
+/// Index in `found` of each name of `expected`.
 fn places(what: String, found: &[String], expected: &[String]) -> Result<Vec<usize>, RecordError> {
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
     match place {

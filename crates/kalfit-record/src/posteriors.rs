@@ -5,7 +5,7 @@ use serde::{Serialize, Serializer};
 use crate::{OwnRecord, PosteriorRecord, SquareRecord};
 use kalfit_model::SparseColumn;
 
-/// Posteriors of tests, one after the other, and of each test phase by phase.
+/// Posteriors of each phase of each test, in the order of the tests.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct PosteriorColumns {
     /// Names of phases, each once.
@@ -13,20 +13,20 @@ pub(super) struct PosteriorColumns {
     parts: Vec<PosteriorPart>,
     /// End of each test's range in `parts`.
     ends: Vec<usize>,
-    /// Mean of each part, followed by its covariance by rows.
+    /// Mean, then covariance by rows, of each part.
     numbers: Vec<f64>,
-    /// Estimates from tests alone, by part.
+    /// Estimates from tests alone, by index of the part.
     own: SparseColumn<OwnRecord>,
 }
 
-/// Sizes of the posterior of one phase of one test, and where it is stored.
+/// Sizes of the posterior of one phase of one test, and index of the first stored value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PosteriorPart {
     name: u32,
     /// Length of the mean, and number of rows of the covariance.
     mean: u32,
     size: u32,
-    /// Index in `numbers` of the first number.
+    /// Index in `numbers` of the first value.
     start: usize,
 }
 
@@ -39,7 +39,7 @@ pub struct PosteriorRecords<'a> {
 }
 
 impl PosteriorColumns {
-    /// An empty list with room for this many tests, with phases of these numbers of states.
+    /// An empty list with room for `tests` tests; `states`: number of states of each phase.
     pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> PosteriorColumns {
         let (phases, numbers) = states.fold((0, 0), |(phases, all), p| (phases + 1, all + p + p * p));
         PosteriorColumns {
@@ -72,7 +72,7 @@ impl PosteriorColumns {
         }
     }
 
-    /// Posteriors of the test with this number.
+    /// Posteriors of the test with index `test`.
     pub(super) fn get(&self, test: usize) -> PosteriorRecords<'_> {
         let start = test.checked_sub(1).map_or(0, |before| self.ends[before]);
         PosteriorRecords { of: self, start, end: self.ends[test] }
@@ -102,7 +102,7 @@ impl<'a> PosteriorRecords<'a> {
         self.len() == 0
     }
 
-    /// The phase with this number. Panics when the test has no such phase.
+    /// The phase with index `phase`. Panics when the test has no such phase.
     pub fn get(&self, phase: usize) -> PosteriorRecord<'a> {
         assert!(phase < self.len(), "phase {phase} of {}", self.len());
         self.of.part(self.start + phase)

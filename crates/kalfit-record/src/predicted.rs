@@ -96,12 +96,12 @@ pub struct PairRecord {
     pub cep_about_zero: f64,
 }
 
-/// Origin of predictions, and the way they were made.
+/// Origin of predictions, and the options of the computation.
 #[derive(Debug, Clone)]
 pub struct PredictedSource {
     /// Origin, as named by the user.
     pub name: String,
-    /// Number of tests, or groups of the outermost level, that the population was estimated from, where it is known.
+    /// Number of tests, or groups of the outermost level, that the population was estimated from; `None` where unknown.
     pub fitted: Option<usize>,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
@@ -141,7 +141,8 @@ impl PredictedRecord {
         }
     }
 
-    /// Adds a test. `outputs`: the outputs of each phase; after two outputs, their sum comes last.
+    /// Adds the predictions of one test. `outputs`: the outputs of each phase; the sum of two outputs is a third
+    /// output, the last.
     pub fn add(
         &mut self,
         (model, outputs, bounds): (&PhasedModel, &[Vec<Output>], &Bounds),

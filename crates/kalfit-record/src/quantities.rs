@@ -38,8 +38,8 @@ pub struct QuantityRecord {
     pub lower: Option<f64>,
     /// Upper end of its 95 % interval.
     pub upper: Option<f64>,
-    /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at lower bound`,
-    /// `at upper bound`, `at the edge`, `unbounded` and `without effect`.
+    /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at lower
+    /// bound`, `at upper bound`, `at the edge`, `unbounded` and `without effect`.
     pub status: String,
 }
 
@@ -80,7 +80,7 @@ struct QuantityOwner<'a> {
     units: &'a [Option<String>],
 }
 
-/// Σ in its three forms, with its boundaries and the directions that are not identified.
+/// Σ as covariances, standard deviations and correlations, with boundaries and directions that are not identified.
 struct CovarianceForms<'a> {
     covariance: &'a CovarianceRecord,
     std_dev: &'a VectorRecord,
@@ -103,7 +103,7 @@ impl<'a> From<&'a LevelRecord> for CovarianceForms<'a> {
     }
 }
 
-/// A number with its standard error and its interval.
+/// A number with standard error and interval.
 #[derive(Clone, Copy)]
 struct ValueErrors {
     estimate: Option<f64>,
@@ -251,7 +251,7 @@ fn at(estimate: &[f64], std_error: &[Option<f64>], interval95: &[Interval], i: u
     }
 }
 
-/// Entry of a matrix; `None` beyond its ends.
+/// Entry (i, k) of a matrix; `None` where the matrix has no such entry.
 fn cell<T: Copy>(rows: &[Vec<T>], i: usize, k: usize) -> Option<T> {
     rows.get(i)?.get(k).copied()
 }

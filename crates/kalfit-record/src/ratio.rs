@@ -40,7 +40,8 @@ pub struct RatioRecord {
     pub p_value: f64,
     /// Tail probability under χ² with `df` degrees of freedom: too large where the hypothesis lies on a boundary.
     pub p_chi2_df: f64,
-    /// Tail probability under the mixture whose weights textbooks give, those of independent estimates; null for a plain χ².
+    /// Tail probability under the mixture whose weights textbooks give, those of independent estimates; null for a
+    /// plain χ².
     pub p_mixture: Option<f64>,
     /// The mixture of `p_mixture` in words: `0.5 chi2_0; 0.5 chi2_1`.
     pub mixture: Option<String>,
@@ -247,7 +248,7 @@ fn words(components: &[Component]) -> String {
 /// Number of tests below which large-sample laws are only a rough guide.
 const FEW_TESTS: usize = 50;
 
-/// Number of tests, or of groups of the outermost level, and what they are called.
+/// (Number of tests, or of groups of the outermost level; the noun for the number, such as `tests`).
 pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
     let plural = |count: usize| if count == 1 { "" } else { "s" };
     match (estimate.grouping(), model.levels.first()) {
@@ -259,9 +260,9 @@ pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: 
     }
 }
 
-/// Adds notes on how far the large-sample law can be trusted, and on what the hypothesis removes. `several`: what the
-/// hypothesis puts on a boundary where the law is a bound; `independent`: number and name of tests or groups, where the
-/// accuracy of the law depends on them.
+/// Adds notes on how far the large-sample law can be trusted, and on what the hypothesis removes. `several`: noun for
+/// the quantities that the hypothesis puts on a boundary; `independent`: number and noun of the tests or groups, where
+/// the accuracy of the law depends on the number.
 pub(super) fn add_doubts(
     notes: &mut Vec<String>,
     ratio: &LikelihoodRatio,

@@ -9,7 +9,7 @@ use kalfit_model::PhasedModel;
 
 /// Largest number of tests whose innovations are included: the least probable ones.
 const MOST_TESTS: usize = 100;
-/// Largest number of innovations of one test that are included one by one; a longer test has its windows only.
+/// Largest number of innovations of one test that are included one by one; of a longer test, only windows are included.
 const MOST_ROWS: usize = 1000;
 /// Largest number of innovations of all tests that are included one by one.
 const MOST_ROWS_OF_ALL: usize = 20_000;
@@ -19,7 +19,7 @@ const MOST_WINDOWS: usize = 40;
 const LEAST_IN_WINDOW: usize = 5;
 /// Largest lag of the autocorrelation.
 const MOST_LAGS: usize = 20;
-/// Largest number of measurements with separate autocorrelations; where there are more, they share one.
+/// Largest number of measurements with separate autocorrelations; more measurements have one common autocorrelation.
 const MOST_MEASUREMENTS: usize = 6;
 /// Values are rounded to this many steps per unit, because they are for charts only.
 const ROUNDING_STEPS: f64 = 1e4;
@@ -32,7 +32,7 @@ pub struct SeriesKeeper {
 }
 
 impl SeriesKeeper {
-    /// Takes the innovations of one test, which are retained if it is among the least probable.
+    /// Takes the innovations of one test, which are retained if the test is among the least probable.
     pub fn offer(&mut self, found: &Innovations, figures: &InnovationRecord, model: &PhasedModel) {
         if found.series.is_empty() {
             return;
@@ -68,7 +68,7 @@ impl SeriesRecord {
             index.entry((one.phase, one.measurement)).or_default();
         });
         index.values_mut().enumerate().for_each(|(i, place)| *place = i);
-        // times may start again in each phase; step numbers do, so they are counted on over phases
+        // times may restart in each phase; step numbers do restart, so `StepCount` counts over all phases
         let timed = model.is_single() && series.iter().all(|one| one.time.is_some_and(f64::is_finite));
         let mut steps = StepCount::default();
         let at: Vec<f64> =
@@ -88,7 +88,7 @@ impl SeriesRecord {
     }
 }
 
-/// Counts steps on from one phase to the next.
+/// Counts steps over all phases of a test.
 #[derive(Default)]
 struct StepCount {
     phase: usize,
@@ -151,7 +151,7 @@ fn autocorrelation(channels: &[&[f64]]) -> Option<(usize, Vec<f64>)> {
     if lags == 0 || largest == 0.0 || !largest.is_finite() {
         return None;
     }
-    // relative to the largest, so that no square overflows or vanishes
+    // values are divided by the largest, so that no square overflows or vanishes
     let product = |z: &[f64], k: usize| -> f64 {
         z.iter().zip(z.get(k..).unwrap_or(&[])).map(|(a, b)| (a / largest) * (b / largest)).sum()
     };

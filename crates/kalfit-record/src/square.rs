@@ -31,13 +31,13 @@ impl<E: AsRef<[f64]>> SquareRecord<E> {
 }
 
 impl<'a> SquareRecord<&'a [f64]> {
-    /// View of a square matrix with these entries, row after row.
+    /// View of the square matrix with `entries`, row after row.
     pub(super) fn view(entries: &'a [f64], size: usize) -> SquareRecord<&'a [f64]> {
         debug_assert_eq!(entries.len(), size * size);
         SquareRecord { size, entries }
     }
 
-    /// Copies a view into memory of its own.
+    /// A copy that owns the entries.
     pub fn to_owned(self) -> SquareRecord {
         SquareRecord { size: self.size, entries: self.entries.to_vec() }
     }
@@ -57,7 +57,7 @@ impl<E: AsRef<[f64]>> Index<usize> for SquareRecord<E> {
     }
 }
 
-/// Conversion of a symmetric matrix, for which columns are rows.
+/// Conversion of a symmetric matrix, whose columns equal the rows.
 impl From<&DMatrix<f64>> for SquareRecord {
     fn from(symmetric: &DMatrix<f64>) -> SquareRecord {
         SquareRecord { size: symmetric.nrows(), entries: symmetric.as_slice().to_vec() }
@@ -78,7 +78,7 @@ pub struct NotSquare {
     pub size: usize,
     /// Number of the first row of a different length, from 1.
     pub row: usize,
-    /// Length of this row.
+    /// Length of row `row`.
     pub found: usize,
 }
 

@@ -16,7 +16,7 @@ pub struct TestRecord<'a> {
     /// Names of its groups where the model has levels, the outermost first.
     #[serde(skip_serializing_if = "<[String]>::is_empty")]
     pub groups: &'a [String],
-    /// log p of its measurements; for a test in groups, of the test by itself.
+    /// log p of the measurements of the test; where tests are in groups, without the other tests of the group.
     pub log_likelihood: f64,
     /// Scalar measurements used.
     pub observations: usize,

@@ -10,8 +10,8 @@ use crate::posteriors::PosteriorColumns;
 use crate::{DeletionRecord, FitRecord, InnovationRecord, SeriesKeeper, TestRecord, TestRow};
 use kalfit_model::{SparseColumn, Texts};
 
-/// Results of each test. Results of one kind are stored together for all tests, so that those of a million tests are a
-/// few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
+/// Results of each test. Results of one kind are stored together for all tests, so that the results of a million tests
+/// are in a few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
 ///
 /// ```
 /// # mod kalfit { pub use kalfit_record as record; }
@@ -41,7 +41,7 @@ pub struct TestRecords {
     innovations: InnovationRecords,
 }
 
-/// Innovations of tests, by test number.
+/// Innovations of tests, by index of the test.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct InnovationRecords(SparseColumn<InnovationRecord>);
 
@@ -68,7 +68,7 @@ impl TestRecords {
         self.figures.is_empty()
     }
 
-    /// The test with this number. Panics when there is no such test.
+    /// The test with index `number`. Panics when there is no such test.
     pub fn get(&self, number: usize) -> TestRecord<'_> {
         let TestFigures { log_likelihood, observations, steps, design_class, distance, degrees_of_freedom, p_value } =
             self.figures[number];
@@ -94,7 +94,7 @@ impl TestRecords {
         self.part(0..self.len())
     }
 
-    /// Iterates over the tests with these numbers. Panics when there is no such test.
+    /// Iterates over the tests with the indices `numbers`. Panics when there is no such test.
     pub fn part(
         &self,
         numbers: Range<usize>,
@@ -102,12 +102,12 @@ impl TestRecords {
         numbers.map(|number| self.get(number))
     }
 
-    /// Number of each test, by its id; of several tests with one id, the last.
+    /// Index of each test, by id; of several tests with one id, the index of the last.
     pub fn by_id(&self) -> HashMap<&str, usize> {
         (0..self.len()).map(|number| (self.ids.get(number), number)).collect()
     }
 
-    /// An empty list with room for this many tests, with phases of these numbers of states.
+    /// An empty list with room for `tests` tests; `states`: number of states of each phase.
     pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> TestRecords {
         TestRecords {
             figures: Vec::with_capacity(tests),
@@ -116,7 +116,7 @@ impl TestRecords {
         }
     }
 
-    /// Adds a test; its phases are added next.
+    /// Adds a test without phases.
     pub(super) fn push(&mut self, id: &str, figures: TestFigures, deletion: Option<DeletionRecord>) {
         self.deletions.set(self.len(), deletion.map(Box::new));
         self.ids.push(id);
@@ -146,24 +146,24 @@ impl TestRecords {
 }
 
 impl InnovationRecords {
-    /// An empty list with room for this many tests.
+    /// An empty list with room for `tests` tests.
     pub fn with_room(tests: usize) -> InnovationRecords {
         InnovationRecords(SparseColumn::with_room(tests))
     }
 
-    /// Innovations of the test with this number, if it has any.
+    /// Innovations of the test with index `number`; `None` without innovations.
     pub fn get(&self, number: usize) -> Option<&InnovationRecord> {
         self.0.get(number)
     }
 
-    /// Sets the innovations of the test with this number.
+    /// Sets the innovations of the test with index `number`.
     pub fn put(&mut self, number: usize, innovations: InnovationRecord) {
         self.0.set(number, Some(innovations));
     }
 }
 
 impl FitRecord {
-    /// Sets the innovations of all tests; tests without innovations in `found` lose theirs.
+    /// Sets the innovations of all tests; a test without innovations in `found` then has no innovations.
     pub fn set_innovations(&mut self, found: InnovationRecords) {
         self.tests.innovations = found;
     }

@@ -1,12 +1,12 @@
-//! Adjoints of motions and of their stationary distributions: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and
-//! doublings are gone through backwards.
+//! Adjoints of motions and of their stationary distributions: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The Taylor sums and
+//! the doublings are passed through backwards.
 
 use kalfit_lanes::{Lanes, MOST};
 
 use super::{Doubling, FlowError, accumulate, product, product_into, scale, scaling, stationary, stationary_discrete};
 
 /// (∂ℓ/∂F, ∂ℓ/∂Q_c) of [`flow`](super::flow). Shapes: all m × m, row-major; `bars` are ∂ℓ/∂φ, ∂ℓ/∂Γ, ∂ℓ/∂Q, entry by
-/// entry; of ∂ℓ/∂Q the symmetric part counts, the mean of its two triangles.
+/// entry; only the symmetric part of ∂ℓ/∂Q has an effect, the mean of the matrix and of the transposed matrix.
 pub fn flow_adjoint(
     f: &[f64],
     q: &[f64],
@@ -23,7 +23,8 @@ pub fn flow_adjoint(
     if f_bar.iter().chain(&q_bar).all(|x| x.is_finite()) { Ok((f_bar, q_bar)) } else { Err(FlowError::NotFinite) }
 }
 
-/// (∂ℓ/∂f, ∂ℓ/∂q) of a single state: φ = exp(fδ), Γ = δ g(fδ), Q = q δ g(2fδ), with g(x) = expm1(x)/x.
+/// (∂ℓ/∂f, ∂ℓ/∂q) of a single state, from (∂ℓ/∂φ, ∂ℓ/∂Γ, ∂ℓ/∂Q): φ = exp(fδ), Γ = δ g(fδ), Q = q δ g(2fδ), with g(x) =
+/// expm1(x)/x.
 pub fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) -> [f64; 2] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
     // Slope δ²g'(x); for large x the factor δ/x is applied twice, so that no intermediate result overflows.
@@ -57,7 +58,7 @@ pub fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T 
     T::load(&all)
 }
 
-/// Number of terms of g'(x); the omitted ones are below the last digit for |x| < 1.
+/// Number of terms of g'(x); the omitted terms are below the last digit for |x| < 1.
 const SLOPE_TERMS: usize = 20;
 
 /// Coefficients (k + 1) / (k + 2)! of g'(x).
@@ -125,7 +126,8 @@ fn doubling_adjoint([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [
     accumulate(q_bar, &product(&back, &half, m), 1.0);
 }
 
-/// Adjoint of the Taylor sums of a small step h. `orders` holds (Fh)^k / k! and the noise term before each order.
+/// Adjoint of the Taylor sums of a small step h. `orders` holds (Fh)^k / k! and the noise term of each order k = 0, 1,
+/// …
 fn taylor_adjoint(
     f: &[f64],
     m: usize,
@@ -143,7 +145,7 @@ fn taylor_adjoint(
         for (bar, (phi, gamma)) in power_bar.iter_mut().zip(phi.iter().zip(gamma)) {
             *bar = (*bar + phi + gamma * h / (order + 1.0)) / order;
         }
-        // noise ← (Fh noise + noise F'h) / (k + 1); Q += noise; all symmetric
+        // noise ← (Fh noise + noise F'h) / (k + 1); Q += noise; all these matrices are symmetric
         noise_bar.iter_mut().zip(noise).for_each(|(bar, noise)| *bar = (*bar + noise) / (order + 1.0));
         for i in 0..m {
             for j in 0..m {
@@ -214,7 +216,7 @@ mod tests {
         weights.iter().zip(values).map(|(w, x)| w * x).sum()
     }
 
-    /// Central difference, with its error terms of orders 2, 4 and 6 eliminated.
+    /// Central difference without the error terms of orders 2, 4 and 6.
     fn difference(h: f64, function: impl Fn(f64) -> f64) -> f64 {
         let central = |h: f64| (function(h) - function(-h)) / (2.0 * h);
         let d = [central(h), central(h / 2.0), central(h / 4.0), central(h / 8.0)];

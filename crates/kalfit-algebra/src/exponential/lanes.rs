@@ -1,4 +1,4 @@
-//! Flows of single states in lanes, by an exponential of as many numbers as a register holds.
+//! Flows of single states in lanes, by an exponential of the numbers of all lanes at once.
 
 use kalfit_lanes::{Lanes, MOST};
 
@@ -6,7 +6,7 @@ use super::scalar_flow;
 
 /// Largest |x| whose exponential is computed in lanes; beyond it, eˣ is close to overflow or underflow.
 const MAX_EXPONENT: f64 = 700.0;
-/// 1½ × 2^52: added to a number, it leaves the nearest whole number in the last bits.
+/// 1½ × 2^52: the sum of this number and x holds the whole number nearest to x in the last bits.
 const ROUNDING_SHIFT: f64 = 6_755_399_441_055_744.0;
 /// ln 2 in two parts; multiples of the first are exact.
 const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
@@ -14,7 +14,7 @@ const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
 /// Number of terms of (eʳ - 1 - r)/r² that affect the last digit for |r| ≤ ½ ln 2.
 const EXPONENTIAL_TERMS: usize = 12;
 
-/// Coefficients 1 / (k + 2)! of these terms.
+/// Coefficients 1 / (k + 2)! of (eʳ - 1 - r)/r² = Σ r^k / (k + 2)!.
 const INVERSE_FACTORIALS: [f64; EXPONENTIAL_TERMS] = {
     let mut terms = [0.5; EXPONENTIAL_TERMS];
     let mut k = 1;
@@ -47,7 +47,7 @@ fn exponentials<T: Lanes>(x: T) -> [T; 2] {
     [power.fma(part, power), power.fma(part, power - T::splat(1.0))]
 }
 
-/// [`scalar_flow`] in lanes, to a few units in the last place. No lane depends on the others.
+/// [`scalar_flow`] in lanes, to a few units in the last place. No lane depends on another lane.
 #[inline(always)]
 pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     let two = T::splat(2.0);
@@ -60,7 +60,7 @@ pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     with_scalar_lanes(found, (f, q, step))
 }
 
-/// Replaces the flows of rates that are too small or too large for [`exponentials`] by those computed one at a time.
+/// Replaces the flows of rates that are too small or too large for [`exponentials`] by [`scalar_flow`] of each lane.
 #[inline(always)]
 fn with_scalar_lanes<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
     let mut all = [[0.0; MOST]; 3];

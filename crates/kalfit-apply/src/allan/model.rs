@@ -1,4 +1,4 @@
-//! Allan's variance of any linear model: the sum over a span is an additional state.
+//! Allan's variance of a linear model; the sum of the measured values over a span is an additional state.
 #![expect(non_snake_case, reason = "the letters of the equations")]
 
 use nalgebra::{DMatrix, DVector};
@@ -33,7 +33,7 @@ impl SpanMap {
         SpanMap { M, d, W }
     }
 
-    /// This span, followed by another one.
+    /// The map of this span followed by the span of `next`.
     fn then(&self, next: &SpanMap) -> SpanMap {
         SpanMap {
             M: &next.M * &self.M,
@@ -42,7 +42,7 @@ impl SpanMap {
         }
     }
 
-    /// m such spans, one after the other, by doubling.
+    /// The map of m equal spans in a row, by repeated doubling.
     fn times(self, m: usize) -> SpanMap {
         let (mut whole, mut doubled, mut remaining) = (None, self, m);
         while remaining > 0 {
@@ -58,11 +58,11 @@ impl SpanMap {
     }
 }
 
-/// Allan's variance of a measurement (by its index in the filter) over spans of m rows, the first two of a new test
-/// whose inputs are zero; `None` for a filter without a start, and where the variance is not finite.
+/// Allan's variance of the measurement with index `measurement` in the filter, over the first two spans of m rows of a
+/// new test whose inputs are zero; `None` for a filter without a start, and where the variance is not finite.
 ///
-/// With x_0 at the start of the first span, x_1 = A x_0 + a + w at that of the second, and sums s_i = g x_{i-1} + b + e_i the
-/// difference is s_2 - s_1 = g(A - I) x_0 + g a + g w - e_1 + e_2.
+/// With the states x_0 at the start of the first span and x_1 = A x_0 + a + w at the start of the second, the sums over
+/// the spans are s_i = g x_{i-1} + b + e_i, and the difference is s_2 - s_1 = g(A - I) x_0 + g a + g w - e_1 + e_2.
 pub fn variance(filter: &Exported, measurement: usize, m: usize) -> Option<f64> {
     let (mean, P) = filter.start.as_ref()?;
     if m == 0 || measurement >= filter.H.nrows() {

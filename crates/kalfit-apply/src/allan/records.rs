@@ -1,10 +1,10 @@
-//! Allan's variance of records, estimated from all pairs of neighbouring spans, overlapping ones too.
+//! Allan's variance of records, estimated from all pairs of neighbouring spans; pairs may overlap.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Largest deviation of a step from the usual step, as a fraction of the usual step.
 const STEP_TOLERANCE: f64 = 0.1;
-/// Smallest fraction of the steps that must be usual for records to have a usual step.
+/// Smallest fraction of steps near the median at which the median is the usual step.
 const MIN_USUAL_FRACTION: f64 = 0.5;
 
 /// Allan's variance of records over spans of one length.
@@ -12,15 +12,15 @@ const MIN_USUAL_FRACTION: f64 = 0.5;
 pub struct Estimate {
     /// The mean of ½(ȳ_2 - ȳ_1)² over all pairs of neighbouring spans in a stretch.
     pub variance: f64,
-    /// Number of such pairs in all stretches.
+    /// Number of pairs of neighbouring spans in all stretches.
     pub pairs: usize,
-    /// Effective degrees of freedom. A stretch of N values has M = N/m independent spans and counts ⅔(M - 1), or 1 where that is less:
-    /// no more than the overlapping estimate has under white noise, flicker noise or a random walk.
+    /// Effective degrees of freedom. A stretch of N values has M = N/m independent spans and adds max(⅔(M - 1), 1), no
+    /// more than the overlapping estimate has under white noise, flicker noise or a random walk.
     pub degrees_of_freedom: f64,
 }
 
 impl Estimate {
-    /// 95 % limits of the variance, whose estimate is taken as χ² with these degrees of freedom.
+    /// 95 % limits of the variance; the estimate is treated as a multiple of χ² with `degrees_of_freedom`.
     pub fn interval95(&self) -> Option<[f64; 2]> {
         let chi = ChiSquared::new(self.degrees_of_freedom).ok()?;
         let limit = |p: f64| self.variance * self.degrees_of_freedom / chi.inverse_cdf(p);
@@ -28,8 +28,8 @@ impl Estimate {
     }
 }
 
-/// The usual step of records of (time, value): the median of the differences of times above zero. `None` where there is no such
-/// difference, or where less than half of them are within 10 % of it: such records have no usual step.
+/// The usual step of records of (time, value): the median of the positive differences of times. `None` where no
+/// difference is positive, or where less than half of the positive differences are within 10 % of the median.
 pub fn median_step(records: &[Vec<(f64, f64)>]) -> Option<f64> {
     let differences = records.iter().flat_map(|record| record.windows(2)).map(|pair| pair[1].0 - pair[0].0);
     let mut steps: Vec<f64> = differences.filter(|step| *step > 0.0 && step.is_finite()).collect();
@@ -44,7 +44,7 @@ fn is_usual(step: f64, usual: f64) -> bool {
 }
 
 /// The values of a record of (time, value) in stretches without a gap: neighbouring values are in one stretch if the
-/// step between them is `step`, give or take 10 %.
+/// times of the two values differ by `step`, to within 10 %.
 pub fn stretches(record: &[(f64, f64)], step: f64) -> Vec<Vec<f64>> {
     let chunks = record.chunk_by(|before, after| is_usual(after.0 - before.0, step));
     chunks.map(|stretch| stretch.iter().map(|(_, value)| *value).collect()).collect()
@@ -54,7 +54,7 @@ pub fn stretches(record: &[(f64, f64)], step: f64) -> Vec<Vec<f64>> {
 pub fn estimate(stretches: &[Vec<f64>], m: usize) -> Option<Estimate> {
     let (mut sum, mut pairs, mut degrees_of_freedom) = (0.0, 0, 0.0);
     for stretch in stretches.iter().filter(|stretch| m > 0 && stretch.len() / 2 >= m) {
-        // a constant drops out; sums without the mean lose fewer digits
+        // the mean cancels in the differences; sums of deviations from the mean lose fewer digits
         let mean = stretch.iter().sum::<f64>() / stretch.len() as f64;
         let sums = stretch.iter().scan(0.0, |sum, value| {
             *sum += value - mean;

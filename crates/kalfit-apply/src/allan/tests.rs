@@ -12,7 +12,7 @@ use kalfit_model::{Alpha, Model, Population};
 const STEP: f64 = 0.5;
 
 /// A gyro with white noise `noise`, a random walk of density `walk`, and a Gauss-Markov state of deviation `sigma` and
-/// time constant 20 s; a zero switches each of them off.
+/// time constant 20 s; each part with value 0 is absent.
 fn gyro(noise: f64, walk: f64, sigma: f64) -> Exported {
     let model = Model::builder("gyro")
         .time("t")
@@ -96,7 +96,7 @@ fn a_ramp_is_its_mean_square() {
     }
 }
 
-/// Records of the gyro: each value white noise, plus a walk, plus a drift.
+/// Records of the gyro; each value is the sum of white noise, a walk and a drift.
 fn simulated(records: usize, rows: usize) -> Vec<Vec<f64>> {
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let mut normal = || -> f64 { StandardNormal.sample(&mut random) };

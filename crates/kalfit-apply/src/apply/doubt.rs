@@ -9,25 +9,26 @@ use kalfit_filter::reduce::ReductionRef;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::{Phase, PhasedModel};
 
-/// How far the parameters that tests are compared with can be trusted.
+/// What is known of the errors of the parameters that tests are compared with.
 #[derive(Debug, Clone, Copy)]
 pub enum Trust<'a> {
-    /// With the covariance of all estimates; exactly, where nothing was estimated.
+    /// The covariance of all estimates is known; [`Knowledge::exact`] where nothing was estimated.
     Estimates(&'a Knowledge),
     /// Only the number of tests, or of groups of the outermost level, that the parameters were estimated from is known.
-    /// It is assumed that each of them determined all of its states exactly, and that dynamic parameters are known.
+    /// Each test or group is assumed to have determined all states exactly, and dynamic parameters count as known.
     Tests(usize),
 }
 
-/// Errors of the estimates, with those of the means picked out.
+/// Covariance of all estimates, and separately the covariance of the means and regression coefficients.
 pub(super) struct EstimateErrors<'a> {
     pub(super) knowledge: &'a Knowledge,
     /// Number of states p.
     states: usize,
-    /// Estimated means and regression coefficients: (index among the estimates, element of the mean, coefficient).
+    /// Estimated means and regression coefficients: (index among the estimates, element of μ, index of the coefficient;
+    /// `None` for a mean).
     of_means: Vec<(usize, usize, Option<usize>)>,
     covariance_of_means: DMatrix<f64>,
-    /// For each of `of_means`, whether it is the mean of a state that is identical in all tests.
+    /// Whether each entry of `of_means` is the mean of a state that is identical in all tests.
     is_fixed: Vec<bool>,
     /// Number of columns that means are regressed on.
     columns: usize,
@@ -37,22 +38,23 @@ pub(super) struct EstimateErrors<'a> {
 pub(super) struct ParameterEffect {
     /// Index among the estimates; `None` for a parameter that the data do not determine.
     pub(super) index: Option<usize>,
-    /// Derivative for the sum of all distances.
+    /// Derivative of E[sum of all distances].
     pub(super) all: f64,
-    /// Derivative for the distance of each test.
+    /// Derivative of E[distance] for each test.
     pub(super) tests: Vec<f64>,
-    /// Derivative for the distance of each group, the innermost level first.
+    /// Derivative of E[distance] for each group of each level, the innermost level first.
     pub(super) groups: Vec<Vec<f64>>,
-    /// Derivative for each test's residual.
+    /// Derivative of E[residual] for each test.
     pub(super) residuals: Vec<f64>,
 }
 
-/// Smallest relative difference of E tr X² and Var[tr X] (see `dimension`) at which variances are taken to be equal.
+/// Smallest relative difference of E tr X² and Var[tr X] (see `dimension`) at which several states count as sharing one
+/// variance.
 const EQUAL_VARIANCE_GAP: f64 = 0.1;
-/// A state that is identical in all tests counts as an estimated mean where its errors are at least this fraction of
-/// those of all means.
+/// Smallest fraction of the increase by errors of all means at which the mean of a state that is identical in all tests
+/// counts as estimated.
 const NOTICEABLE_SHARE: f64 = 0.01;
-/// A derivative below this fraction of its scale counts as zero: the expectation does not depend on the quantity.
+/// Fraction of the scale of a derivative below which the derivative counts as zero.
 const NEGLIGIBLE_SLOPE: f64 = 1e-9;
 
 impl<'a> EstimateErrors<'a> {
@@ -84,8 +86,8 @@ impl<'a> EstimateErrors<'a> {
         EstimateErrors { knowledge, states, of_means, covariance_of_means, is_fixed, columns: columns.len() }
     }
 
-    /// Dynamic parameters with their index among the estimates and their standard error, both `None` where the data do
-    /// not determine the parameter.
+    /// (Index among the estimates, dynamic parameter, standard error) of each dynamic parameter; index and error are
+    /// `None` where the data do not determine the parameter.
     pub(super) fn parameters(&self) -> impl Iterator<Item = (Option<usize>, &'a Estimand, Option<f64>)> {
         let knowledge = self.knowledge;
         let error = |i: usize| knowledge.covariance[(i, i)].max(0.0).sqrt();
@@ -94,7 +96,7 @@ impl<'a> EstimateErrors<'a> {
             .filter(|(_, known, _)| matches!(known, Estimand::Parameter { .. }))
     }
 
-    /// Derivatives of a test's mean with respect to the estimated means: p × means.
+    /// Derivatives of a test's mean with respect to the estimated means and coefficients, p × length of `of_means`.
     pub(super) fn effect(&self, reduction: ReductionRef<'_>) -> DMatrix<f64> {
         let mut effect = DMatrix::zeros(self.states, self.of_means.len());
         for (at, &(_, element, coefficient)) in self.of_means.iter().enumerate() {
@@ -103,14 +105,14 @@ impl<'a> EstimateErrors<'a> {
         effect
     }
 
-    /// Expected increase of a sum of squares by errors of the means.
+    /// Expected increase of a sum of squares by errors of the means: tr(`weights` · covariance of the means).
     pub(super) fn of_means(&self, weights: &DMatrix<f64>) -> f64 {
         weights.dot(&self.covariance_of_means).max(0.0)
     }
 
-    /// Number of means of one element that were estimated: one, one for each column that they are regressed on, and one
-    /// for each state that is identical in all tests and whose errors are a noticeable part of `all`, the increase by
-    /// errors of all means.
+    /// Number of estimated means that increase a sum of squares: 1 if the mean of a state that varies was estimated, 1
+    /// for each column that means are regressed on, and 1 for each state that is identical in all tests and whose
+    /// errors are a noticeable part of `all`, the increase by errors of all means.
     pub(super) fn means(&self, weights: &DMatrix<f64>, all: f64) -> usize {
         let own = |at: usize| weights[(at, at)] * self.covariance_of_means[(at, at)];
         let is_noticeable = |&at: &usize| self.is_fixed[at] && own(at) > NOTICEABLE_SHARE * all;
@@ -126,7 +128,8 @@ impl<'a> EstimateErrors<'a> {
         if i == j { own } else { 2.0 * own }
     }
 
-    /// Variance of the expectation due to errors of covariances and parameters.
+    /// Variance of the expectation due to errors of covariances and parameters. `moved`: (parameter, derivative of the
+    /// expectation).
     pub(super) fn variance(&self, weights: &Weights, moved: &[(&ParameterEffect, f64)]) -> f64 {
         let known = self.knowledge.quantities.iter().map(|known| self.by(weights, known));
         self.variance_along(DVector::from_iterator(self.knowledge.quantities.len(), known), moved)
@@ -159,10 +162,9 @@ impl<'a> EstimateErrors<'a> {
         moved.iter().any(|(one, slope)| one.index.is_none() && slope.abs() > NEGLIGIBLE_SLOPE * degrees)
     }
 
-    /// Number of degrees of freedom whose covariance is estimated as one in Σ of a level, and number of them that share
-    /// one variance: p and 1 for a full p × p matrix, 1 and 1 for separate variances, 1 and m for m equal variances.
-    /// With X the error of Σ̂ in units of W⁻¹, E tr X² in these cases is (p + 1)/2 times Var[tr X], Var[tr X], and
-    /// Var[tr X]/m.
+    /// (Size of the blocks of a level's Σ that are estimated as one matrix, number of states that share one variance):
+    /// (p, 1) for a full p × p matrix, (1, 1) for separate variances, (1, m) for m equal variances. With X the error of
+    /// Σ̂ in units of W⁻¹, E tr X² is Var[tr X] times (p + 1)/2, 1 and 1/m in the three cases.
     pub(super) fn dimension(&self, w: &DMatrix<f64>, level: usize) -> (f64, f64) {
         let p = self.states;
         let own = |(index, known): (usize, &Estimand)| match *known {

@@ -16,10 +16,10 @@ pub enum ApplyError {
     /// Tests whose groups are not known.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
-    /// Values whose shape differs from the model's.
+    /// A population whose shape differs from the shape of the model.
     #[error(transparent)]
     Population(#[from] PopulationError),
-    /// Values that are not possible.
+    /// A matrix of the structure that is not possible.
     #[error(transparent)]
     Structure(#[from] StructureError),
     /// Reductions that the model cannot be applied to.

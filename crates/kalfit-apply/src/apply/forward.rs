@@ -1,5 +1,5 @@
-//! States given the measurements before a step, or up to it: the filter together with the law of σ, as for the
-//! innovations.
+//! Moments of the states given the measurements before a step, or up to and including the step, by the filter with the
+//! law of σ.
 #![expect(non_snake_case, reason = "the letters of the theory: Psi, P")]
 
 use std::ops::Range;
@@ -43,8 +43,8 @@ fn of_test(
     states.into_iter().collect()
 }
 
-/// x̂ + Ψσ̂ with covariance P + ΨVΨ', before or after the measurements of each step, which are taken into the law of σ
-/// on the way.
+/// Mean x̂ + Ψσ̂ and covariance P + ΨVΨ' of the states of each step, before or after the measurements of the step (by
+/// `kind`). Every measurement updates `law`, the law N(σ̂, V) of σ.
 fn filtered(
     kind: StateKind,
     gains: &Gains,

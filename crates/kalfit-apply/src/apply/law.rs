@@ -1,9 +1,9 @@
 //! The law of a sum of squared distances of new tests from a population that was estimated.
 //!
-//! For n tests that determine p numbers each, against a population estimated from N such tests: D = N tr W⁻¹B, where W
-//! ~ Wishart_p(N - 1) and B is a sum of n squares about an estimated mean. That is Lawley's and Hotelling's trace, and
-//! McKeon's F has its first two moments (Biometrika 61, 1974, 381). It is exact for one test, where it is Hotelling's
-//! T², and for p = 1:
+//! For n tests that determine p values each, against a population estimated from N such tests, D = N tr W⁻¹B, where W ~
+//! Wishart_p(N - 1) and B is a sum of n squares about an estimated mean. D is the trace of Lawley and Hotelling, and
+//! McKeon's F has the first two moments of D (Biometrika 61, 1974, 381). The law F is exact for one test, where D is
+//! Hotelling's T², and for p = 1:
 //!
 //! ```text
 //! tr W⁻¹B ~ c F(a, b),   a = ph,   b = 4 + (a + 2)(ν - p - 3)(ν - p) / ((ν + h - p - 1)(ν - 1) - (ν - p - 3)(ν - p)),
@@ -19,12 +19,12 @@ pub struct Law {
     pub scale: f64,
     /// Degrees of freedom of the numerator.
     pub numerator: f64,
-    /// Degrees of freedom of the denominator. Infinite where nothing is estimated: the law is then that of χ² over its
-    /// degrees of freedom, multiplied by `scale`.
+    /// Degrees of freedom of the denominator. Infinite where nothing is estimated: the law is then `scale` χ²_a/a with
+    /// a = `numerator`.
     pub denominator: f64,
 }
 
-/// Degrees of freedom, of numerator and denominator, above which the cube root of F is normal to all digits that count.
+/// Degrees of freedom of both numerator and denominator above which the cube root of F is treated as normal.
 const NORMAL_FROM_DEGREES: f64 = 1e4;
 
 /// Rounding error of computed degrees of freedom.
@@ -36,7 +36,7 @@ impl Law {
         Law { scale: degrees, numerator: degrees, denominator: f64::INFINITY }
     }
 
-    /// Mean of the law; infinite where it has none.
+    /// Mean of the law; infinite where the law has no mean.
     pub fn mean(&self) -> f64 {
         match self.denominator {
             b if b.is_infinite() => self.scale,
@@ -45,7 +45,7 @@ impl Law {
         }
     }
 
-    /// Standard deviation of the law; infinite where it has none.
+    /// Standard deviation of the law; infinite where the law has no variance.
     pub fn std_dev(&self) -> f64 {
         let (a, b) = (self.numerator, self.denominator);
         match b {
@@ -80,26 +80,26 @@ impl Law {
     }
 }
 
-/// A sum of squared distances, and what estimation adds to it, to first order.
+/// A sum of squared distances, with the effects of errors of estimation on the sum to first order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DistanceSum {
     /// Number of distances.
     pub(super) count: f64,
     /// Degrees of freedom of all distances together.
     pub(super) degrees: f64,
-    /// Number of degrees of freedom whose covariance is estimated as one: p for a full p × p covariance, 1 for separate
+    /// Size of the blocks of Σ that are estimated as one matrix: p for a full p × p covariance, 1 for separate
     /// variances.
     pub(super) dimension: f64,
-    /// Number of degrees of freedom that share one variance: m where m variances are equal.
+    /// Number of states that share one variance: m where m variances are equal.
     pub(super) sharing_variance: f64,
-    /// Variance of the sum's expectation due to errors of covariances and parameters, over the square of `degrees`:
-    /// 2/(pN).
+    /// Variance of the sum's expectation due to errors of covariances and parameters, divided by `degrees`²; 2/(pN) in
+    /// `of_tests`.
     pub(super) variance: f64,
-    /// Expected increase of the sum by errors of the mean: np/N.
+    /// Expected increase of the sum by errors of the mean; np/N in `of_tests`.
     pub(super) of_mean: f64,
     /// Number of means that were estimated with the covariances.
     pub(super) means: f64,
-    /// Whether estimating the means made the covariances too small: false by restricted likelihood.
+    /// Whether the covariances are too small because the means were estimated: false by restricted likelihood.
     pub(super) is_biased: bool,
     /// Number of tests, or groups, that everything was estimated from.
     pub(super) tests: f64,
@@ -109,8 +109,8 @@ pub(super) struct DistanceSum {
 const KNOWN_VARIANCE: f64 = 1e-12;
 
 impl DistanceSum {
-    /// Sum over `count` tests, against estimates by maximum likelihood from `tests` others that determined all their
-    /// states exactly.
+    /// Sum over `count` tests, compared with maximum-likelihood estimates from `tests` different tests that each
+    /// determined all states exactly.
     pub(super) fn of_tests(count: f64, degrees: f64, tests: f64) -> DistanceSum {
         DistanceSum {
             count,
@@ -125,11 +125,10 @@ impl DistanceSum {
         }
     }
 
-    /// Law of the sum; `None` where the estimates are from too few tests to have one.
+    /// Law of the sum; `None` where the estimates are from too few tests for a law.
     pub(super) fn law(&self) -> Option<Law> {
         let each = self.degrees / self.count;
-        // n squares, those along the estimated means enlarged by the means' errors, are replaced by h squares of one
-        // size
+        // h squares of one size replace the n squares, of which the errors of the means enlarge `means` squares
         let error = self.of_mean / each;
         let means = self.means.min(self.count).max(1.0);
         let (sum, squares) = (self.count + error, self.count - means + means * (1.0 + error / means).powi(2));
@@ -158,7 +157,7 @@ impl DistanceSum {
     }
 }
 
-/// Law of tr W⁻¹B in p dimensions, W of `degrees` and B of h degrees of freedom.
+/// Law of tr W⁻¹B in p dimensions, where W has `degrees` and B has h degrees of freedom.
 fn trace(p: f64, h: f64, degrees: f64) -> Option<Law> {
     let left = degrees - p;
     if h <= 1.0 {
@@ -192,7 +191,8 @@ impl Law {
 mod tests {
     use super::*;
 
-    /// n new tests of p states against N tests that determine their states exactly, by maximum likelihood.
+    /// n new tests of p states, compared with maximum-likelihood estimates from N tests that each determine all states
+    /// exactly.
     fn exact(p: f64, n: f64, tests: f64) -> DistanceSum {
         DistanceSum::of_tests(n, n * p, tests)
     }

@@ -1,4 +1,4 @@
-//! Laws of test results compared with those of Hotelling and Fisher.
+//! Laws of test results, compared with the laws of Hotelling and Fisher.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -37,8 +37,7 @@ fn population() -> Population {
     Population { mean: vec![0.5, -0.3], coefficients: vec![], covariance }
 }
 
-/// Knowledge from N tests like these, by maximum likelihood: mean and covariance by Wishart's law, σ from N times three
-/// residuals.
+/// Maximum-likelihood knowledge from N tests: errors of mean and covariance by Wishart's law, of σ by 3N residuals.
 fn knowledge(fitted: f64) -> Knowledge {
     let own = population().covariance;
     let noise = SIGMA * SIGMA * DMatrix::from_diagonal(&DVector::from_vec(vec![1.0 / ROWS as f64, 0.1]));
@@ -83,7 +82,7 @@ fn laws(number: usize, trust: &Trust<'_>) -> (Said, Laws) {
     (said, laws)
 }
 
-/// Compares to a thousandth, the size of the errors that Σ̂ shares with σ̂.
+/// Compares to 1e-3, the size of the correlated errors of Σ̂ and σ̂.
 fn near(what: &str, found: f64, expected: f64) {
     assert!((found - expected).abs() < 1e-3 * expected.abs(), "{what}: {found} against {expected}");
 }

@@ -11,17 +11,17 @@ use kalfit_infer::{Distance, Estimand, Knowledge};
 use kalfit_model::Evidence;
 use kalfit_model::{Alpha, Slots};
 
-/// Laws of the results of tests, in the order of the results. `None`: without degrees of freedom, where the result
-/// depends on something that the data of the fit do not determine, and where the fit has too few tests.
+/// Laws of the results of tests, in the order of the results. A law is `None` without degrees of freedom, where the
+/// result depends on a quantity that the data of the fit do not determine, and where the fit has too few tests.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Laws {
-    /// Law of the sum of the distances of all tests from the population, or of all groups of the outermost level.
+    /// Law of the sum of the distances of all tests, or of all groups of the outermost level, from the population.
     pub distance: Option<Law>,
-    /// Law of the sum of distances within groups, where tests stand in groups.
+    /// Law of the sum of distances within groups, where tests are in groups.
     pub within: Option<Law>,
     /// Law of the sum of all residuals.
     pub residual: Option<Law>,
-    /// Law of the distance of each test by itself.
+    /// Law of the distance of each test.
     pub tests: Vec<Option<Law>>,
     /// Law of the distance of each group, the innermost level first.
     pub groups: Vec<Vec<Option<Law>>>,
@@ -50,7 +50,7 @@ impl Laws {
     }
 }
 
-/// Number of tests that one thread takes at a time.
+/// Number of tests in one parallel task.
 const CHUNK: usize = 256;
 
 impl Applied<'_> {
@@ -81,8 +81,8 @@ impl Applied<'_> {
         TestTree::new(own, self.population, self.grouping.as_deref(), &|reduction| doubt.effect(reduction))
     }
 
-    /// Derivatives of the expectations with respect to each estimated parameter, from the model on both sides of it.
-    /// Empty where a phase of a test is not given by rows.
+    /// Derivatives of the expectations with respect to each estimated parameter, by differences between a higher and a
+    /// lower value of the parameter. Empty where a phase of a test is not given by rows.
     fn moved(&self, tree: &TestTree, doubt: &EstimateErrors<'_>) -> Result<Vec<ParameterEffect>, ApplyError> {
         let is_reduced = self.tests.iter().any(|test| test.phases.iter().any(|own| !matches!(own, Evidence::Rows(_))));
         if is_reduced {
@@ -116,7 +116,7 @@ impl Applied<'_> {
     }
 }
 
-/// Everything that laws are computed from.
+/// Inputs of the laws: results of the tests, errors of the estimates, and weights of Σ, means and parameters.
 struct LawBuilder<'a> {
     said: &'a Said,
     trust: &'a Trust<'a>,
@@ -185,8 +185,9 @@ impl LawBuilder<'_> {
         all.iter().enumerate().map(law).collect()
     }
 
-    /// Law of a sum over `count` tests or groups, with `degrees` degrees of freedom. `level`: level of the Σ that they
-    /// mostly differ by.
+    /// Law of a sum over `count` tests or groups, with `degrees` degrees of freedom. `level`: level whose Σ contributes
+    /// most to the differences between the tests or groups; `moved`: derivative of the expected sum with respect to a
+    /// parameter.
     fn law(
         &self,
         weights: &Weights,
@@ -222,7 +223,7 @@ impl LawBuilder<'_> {
         DistanceSum { count, degrees, dimension, sharing_variance, variance, of_mean, means, is_biased, tests }.law()
     }
 
-    /// Law of residuals: separate variances, which only errors of the parameters affect.
+    /// Law of a residual or of a sum of residuals, on which only errors of the dynamic parameters have an effect.
     fn residual(&self, degrees: usize, moved: &dyn Fn(&ParameterEffect) -> f64) -> Option<Law> {
         let degrees = degrees as f64;
         if degrees == 0.0 {

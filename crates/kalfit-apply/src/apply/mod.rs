@@ -1,5 +1,5 @@
-//! Applies a model whose parameters are all known to tests: what each test says of its initial state, whether the tests
-//! come from the population, and the states along their records (theory §12). Nothing is estimated.
+//! Applies a model whose parameters are all known to tests (theory §12): computes the posterior of each test's initial
+//! state, whether the tests come from the population, and the states at each step of the records. Nothing is estimated.
 //!
 //! ```text
 //! (α, μ, Σ) + tests ──> Applied ──> posteriors, distances, log densities, innovations ──> Verdict, by Laws
@@ -50,7 +50,7 @@ pub struct Applied<'a> {
     grouping: Option<Arc<Grouping>>,
     slots: Slots,
     reducer: PhasedReducer,
-    /// Reductions in the form that `problem` was made from.
+    /// Reductions that `problem` was made from.
     reductions: Reductions,
     problem: Problem,
     point: Point,
@@ -61,14 +61,14 @@ pub struct Applied<'a> {
 pub struct Said {
     /// Likelihood, posterior and distance of each test.
     pub posteriors: Posteriors,
-    /// Posterior of each group, level by level, the innermost first; empty where tests stand in no groups.
+    /// Posterior of each group of each level, the innermost level first; empty where tests are in no groups.
     pub groups: Vec<Vec<GroupPosterior>>,
     /// Innovations of each test; `None` for tests whose measurements are not known.
     pub innovations: Vec<Option<Innovations>>,
-    /// How far the measured values of each test are off the model whatever its initial state is: (sum of squares of its
-    /// innovations less its squared distance from the population, degrees of freedom of χ²). Residual and distance are
-    /// independent, also where tests stand in groups. `None` where a phase is not known by its rows, and where a test
-    /// is so far out that the difference is nothing but rounding.
+    /// Residual of each test, the part of the squares that no initial state explains: (sum of squares of the
+    /// innovations less the squared distance of the test from the population, degrees of freedom of χ²). Residual and
+    /// distance are independent, also where tests are in groups. `None` where a phase is not given by rows, and where
+    /// the squared distance is so large that the difference is only rounding.
     pub residuals: Vec<Option<(f64, usize)>>,
 }
 
@@ -95,7 +95,7 @@ impl<'a> Applied<'a> {
         let reducer = PhasedReducer::scoring(model, alpha, &slots)?;
         let reductions = reducer.reduce(tests)?;
         let grouping = grouping(model, tests)?.map(Arc::new);
-        // the given values are used as they are: no constraint of the structure may change them
+        // no constraint of the structure may change the given values
         let covariances: Vec<CovarianceStructure> = model.blocks().map(|(own, _)| unconstrained(own)).collect();
         let of = Structure::of(model, alpha, grouping.as_ref());
         let phases = of.phases.iter().zip(&covariances).map(|(phase, covariance)| {
@@ -134,13 +134,13 @@ impl<'a> Applied<'a> {
         Ok(Said { posteriors, groups, innovations, residuals })
     }
 
-    /// Whether every phase of the test is known by rows that are filtered here.
+    /// Whether every phase of the test is given by rows and has no separate filter.
     fn is_all_rows(&self, test: &PhasedTest) -> bool {
         self.refuse_without_rows(test).is_ok()
     }
 }
 
-/// A structure that does not constrain Σ; the known covariance that is added to it remains.
+/// A structure that does not constrain Σ; the known covariance of `own` is still added to Σ.
 fn unconstrained(own: &CovarianceStructure) -> CovarianceStructure {
     CovarianceStructure { known: own.known.clone(), ..CovarianceStructure::full() }
 }

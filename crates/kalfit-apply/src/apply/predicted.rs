@@ -1,5 +1,5 @@
-//! Measurements as the states predict them: steps and measurements of a phase as they stand in the data, noise not
-//! whitened.
+//! Steps and measurements of a phase in the order of the data: linear forms of the states that predict each
+//! measurement, and noise before whitening.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use crate::apply::states::{PhaseStates, Prediction, StepMoments, StepStates};
 use kalfit_filter::reduce::{DesignStep, PhaseReducer, ReduceError, Workspace};
 use kalfit_model::Test;
 
-/// Linear form h'x + d of the states, in the order of the kernels.
+/// Linear form h'x + d of the states x, which are in the order of the kernels.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StateForm {
     /// Nonzero terms of h, as (state, coefficient).
@@ -39,19 +39,20 @@ impl StateForm {
     }
 }
 
-/// What a value at a step belongs to.
+/// The state or measurement that a value at a step is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ValueSubject {
     /// A state, by its index in the phase's model.
     State(usize),
-    /// A measurement, and its row among the rows of the phase.
+    /// (Index of the measurement in the phase's model, index of the row among the rows of the phase).
     Measurement(usize, usize),
 }
 
-/// (Rows of a step among those of the phase, time of the step, values of the step).
+/// (Rows of a step among the rows of the phase, time of the step, values of the step with the linear form of each
+/// value).
 pub(crate) type StepForms = (Range<usize>, Option<f64>, Vec<(ValueSubject, StateForm)>);
 
-/// A phase of a test, evaluated.
+/// A phase of a test with the design, data and noise that the filter computes from the rows.
 pub(crate) struct EvaluatedPhase<'a> {
     phase: &'a PhaseReducer,
     rows: &'a Test,
@@ -68,7 +69,8 @@ impl<'a> EvaluatedPhase<'a> {
         Ok(EvaluatedPhase { phase, rows, work })
     }
 
-    /// States at each step, given their moments `known`; `noisy`: predictions include the noise of the measurements.
+    /// States at each step. `known`: moments of all states, one entry per step; `noisy`: whether predictions include
+    /// the noise of the measurements.
     pub(super) fn states(&self, phase: usize, known: impl Iterator<Item = StepMoments>, noisy: bool) -> PhaseStates {
         let steps = self.each_step().zip(known);
         let one = |((step, rows), known): ((DesignStep<'_>, Range<usize>), StepMoments)| {
@@ -90,7 +92,7 @@ impl<'a> EvaluatedPhase<'a> {
         PhaseStates { phase, steps: steps.map(one).collect() }
     }
 
-    /// Rows, time and values of each step: first the states, then the measurements.
+    /// Rows, time and values of each step; the values are the states, then the measurements.
     pub(crate) fn forms(&self) -> Vec<StepForms> {
         let one = |(step, rows): (DesignStep<'_>, Range<usize>)| {
             let states = self.state_forms().enumerate().map(|(state, form)| (ValueSubject::State(state), form));
@@ -111,7 +113,7 @@ impl<'a> EvaluatedPhase<'a> {
         place.iter().map(|&at| StateForm { terms: vec![(at, 1.0)], constant: 0.0 })
     }
 
-    /// Measurements of a step: (line, (measurement, row), linear form in the states).
+    /// For each measurement of a step: (line of the design, (measurement, row), linear form in the states).
     fn measured(&self, step: &DesignStep<'_>) -> impl Iterator<Item = (usize, (usize, usize), StateForm)> {
         let (work, model) = (&self.work, &self.phase.reducer.preparer().model);
         step.lines.clone().zip(step.rows.clone()).map(move |(line, row)| {

@@ -1,4 +1,4 @@
-//! States given all measurements of a test: the smoother of `score`, with the posterior of ξ.
+//! Moments of the states given all measurements of a test, by the smoother of `score` with the posterior of ξ.
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! States along the records of tests.
+//! States of tests at each step of the records.
 
 use std::ops::Range;
 
@@ -12,9 +12,10 @@ use kalfit_model::{Evidence, PhasedTest};
 pub enum StateKind {
     /// All measurements before the step.
     Predicted,
-    /// All measurements up to the step and at it.
+    /// All measurements before the step and at the step.
     Filtered,
-    /// All measurements of the test, before and after the step; where tests stand in groups, of all tests of the group.
+    /// All measurements of the test, before and after the step; where tests are in groups, all measurements of all
+    /// tests of the group.
     Smoothed,
 }
 
@@ -30,7 +31,7 @@ pub struct PhaseStates {
 /// States at one step: rows of the same time are one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepStates {
-    /// Rows of the step among those of the phase.
+    /// Rows of the step among the rows of the phase.
     pub rows: Range<usize>,
     /// Time of the step, where the model has a column of times.
     pub time: Option<f64>,
@@ -47,12 +48,12 @@ pub struct StepStates {
 pub struct Prediction {
     /// Index of the measurement in the phase's model.
     pub measurement: usize,
-    /// Row of the measurement among those of the phase.
+    /// Row of the measurement among the rows of the phase.
     pub row: usize,
     /// Mx + d at the mean of the states.
     pub value: f64,
-    /// Standard deviation of `value`: with the noise of the measurement where it is predicted, without it where it is
-    /// filtered or smoothed.
+    /// Standard deviation of `value`: including the noise of the measurement for [`StateKind::Predicted`], without the
+    /// noise for the other kinds.
     pub std_dev: f64,
 }
 
@@ -63,10 +64,10 @@ pub(super) struct StepMoments {
 }
 
 impl Applied<'_> {
-    /// The states of some of the tests at every step of their records, phase by phase.
+    /// The states of the tests with indices `tests` at every step, phase by phase.
     ///
     /// # Errors
-    /// A phase that is given by estimates or by a reduction, or has a filter of its own; rows that cannot be filtered.
+    /// A phase that is given by estimates or by a reduction, or has a separate filter; rows that cannot be filtered.
     pub fn states(&self, kind: StateKind, tests: Range<usize>) -> Result<Vec<Vec<PhaseStates>>, ApplyError> {
         self.tests[tests.clone()].iter().try_for_each(|test| self.refuse_without_rows(test))?;
         match kind {

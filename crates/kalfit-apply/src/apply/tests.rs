@@ -8,7 +8,7 @@ use kalfit_model::PhasedTest;
 use kalfit_model::build::{Columns, ModelBuilder, constant, measurement, name, phase, random_walk};
 use kalfit_model::{Alpha, Model, PhasedModel, Population};
 
-/// Times of the rows: two rows have the same time, one has no measurements.
+/// Times of the rows: two rows have equal times, and one row has no measurements.
 const TIMES: [f64; 7] = [0.0, 0.5, 0.5, 2.0, 2.3, 4.0, 4.5];
 const U: [f64; 7] = [1.0, -0.5, 2.0, 0.3, 0.0, -1.5, 0.7];
 const NAN: f64 = f64::NAN;
@@ -20,7 +20,7 @@ const START: f64 = 0.3;
 const NOISE: [f64; 2] = [0.5, 0.8];
 const CONSTANT: f64 = 1.5;
 
-/// y = bias + u slope + walk, z = 2 walk + 1.5; the walk starts as given.
+/// y = bias + u slope + walk, z = 2 walk + 1.5; the walk has a known start.
 fn states(walk: (f64, f64), unknown: bool) -> ModelBuilder {
     let own = |name: &str| if unknown { constant(name) } else { constant(name).known(0.0, 0.0) };
     Model::builder("a walk")
@@ -37,7 +37,7 @@ fn population() -> Population {
     Population { mean: vec![0.5, -0.3], coefficients: vec![], covariance }
 }
 
-/// Joint law of (bias, slope, walk at each of the distinct times), and its measurements.
+/// Joint law of (bias, slope, walk at each distinct time), and the measurements.
 struct Dense {
     times: Vec<f64>,
     mean: DVector<f64>,
@@ -78,7 +78,7 @@ impl Dense {
         }
     }
 
-    /// Mean and covariance given the measurements of these steps.
+    /// Mean and covariance given the measurements of the steps at which `counts` holds.
     fn given(&self, counts: impl Fn(usize) -> bool) -> (DVector<f64>, DMatrix<f64>) {
         let seen: Vec<_> = self.seen.iter().filter(|seen| counts(seen.0)).collect();
         let h = DMatrix::from_fn(seen.len(), self.mean.len(), |i, k| seen[i].1[k]);
@@ -164,7 +164,7 @@ fn what_tests_say_is_that_of_the_joint_gaussian() {
     assert_eq!(verdict.distance.degrees_of_freedom, 2);
 }
 
-/// The residual is the same for any other population with the same noise.
+/// The residual does not depend on the population.
 #[test]
 fn the_residual_does_not_depend_on_the_population() {
     let model = states((0.0, START), true).build().expect("a model");
@@ -179,8 +179,7 @@ fn the_residual_does_not_depend_on_the_population() {
     assert_eq!(found.1, expected.1);
 }
 
-/// A record cut between two rows of the same time becomes two phases, the second of which continues where the first
-/// ended.
+/// A record, cut between two rows of equal time into two phases, of which the second starts at the end of the first.
 #[test]
 fn a_record_in_two_phases_has_the_states_of_the_whole() {
     let (first, second) = (states((0.0, START), true), states((0.0, 0.0), false));
@@ -200,7 +199,7 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
     let found = applied.states(StateKind::Smoothed, 0..1).expect("states");
     let [before, after] = &found[0][..] else { panic!("two phases: {}", found[0].len()) };
     let (mean, covariance) = dense.given(|_| true);
-    // the last step of the first phase and the first of the second are at the same time
+    // the last step of the first phase and the first step of the second phase have equal times
     let steps = before.steps.iter().enumerate().chain(after.steps.iter().enumerate().map(|(k, step)| (k + 1, step)));
     for (step, states) in steps {
         for (state, at) in [0, 1, 2 + step].into_iter().enumerate() {
@@ -208,7 +207,7 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
             near("its deviation", states.std_dev[state], covariance[(at, at)].sqrt());
         }
     }
-    // after the cut, the measurements of the first phase count as well
+    // the states of the second phase also depend on the measurements of the first phase
     let filtered = applied.states(StateKind::Filtered, 0..1).expect("states");
     for (step, states) in filtered[0][1].steps.iter().enumerate() {
         let (mean, covariance) = dense.given(|other| other <= step + 1);

@@ -1,5 +1,5 @@
-//! Weights of tests and their groups in sums of squared distances: the derivatives of the expectation of such a sum
-//! with respect to Σ of each level, and its increase by errors of the mean.
+//! Weights in sums of squared distances of tests and groups: the derivatives of the expectation of a sum with respect
+//! to Σ of each level, and the increase of the expectation by errors of the means.
 //!
 //! ```text
 //! node: likelihood N(y; Jm, J) of the mean m of its members; J of a test is its reduction's,
@@ -24,15 +24,15 @@ use kalfit_model::unpack;
 pub(super) struct TreeNode {
     /// Information J, p × p.
     pub(super) information: DMatrix<f64>,
-    /// W at Σ of the node's level, p × p.
+    /// W = (I + JΣ)⁻¹J with Σ of the node's level, p × p.
     weight: DMatrix<f64>,
-    /// Derivatives of y with respect to the estimated means: J times their effect, p × means.
+    /// Derivatives of y with respect to the estimated means, p × means; for a test, J times the effect of the means.
     shift: DMatrix<f64>,
 }
 
 /// Tests and groups as nodes: the tests first, then the groups of each level, the innermost level first.
 pub(super) struct TestTree {
-    /// Σ of each level, p × p; that of the tests first.
+    /// Σ of each level, p × p; the level of the tests first.
     sigmas: Vec<DMatrix<f64>>,
     pub(super) nodes: Vec<Vec<TreeNode>>,
     /// For each level but the last, the index of each node's parent among the nodes of the next level.
@@ -44,17 +44,17 @@ pub(super) struct TestTree {
 pub(super) struct Weights {
     /// Derivative with respect to Σ of each level, p × p.
     pub(super) of_level: Vec<DMatrix<f64>>,
-    /// Weight of the estimated means, means × means: E[D] increases by the trace of this matrix times their covariance.
+    /// Weight of the estimated means, means × means: E[D] increases by tr(`of_means` · covariance of the means).
     pub(super) of_means: DMatrix<f64>,
 }
 
-/// How estimated means enter a test: p × means.
+/// Derivatives of a test's mean with respect to the estimated means, p × means.
 pub(super) type Effect<'a> = dyn Fn(ReductionRef<'_>) -> DMatrix<f64> + Sync + 'a;
 
-/// Standard deviation given to an exact measurement, relative to that in the population: weights need no more digits.
+/// Standard deviation assumed for an exact measurement, as a fraction of the standard deviation over the population.
 const EXACT_DEVIATION: f64 = 1e-3;
 
-/// R, extended by a row for each exact measurement.
+/// R with an additional row for each exact measurement, (p + exact measurements) × p.
 fn root_with_exact(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     let p = sigma.nrows();
     let root = unpack(reduction.factor, p);
@@ -80,7 +80,7 @@ impl TestTree {
         let sigma = |level: usize| population.covariance.view((level * p, level * p), (p, p)).into_owned();
         let sigmas: Vec<DMatrix<f64>> = (0..=depth).map(sigma).collect();
         let test = |reduction: ReductionRef<'_>| {
-            // the first block of Σ is that of the tests themselves; the blocks of the levels follow
+            // the first block of Σ is of the tests; the blocks of the levels of groups follow
             let root = root_with_exact(reduction, &sigmas[0]);
             let information = root.transpose() * &root;
             let shift = &information * effect(reduction);
@@ -121,7 +121,7 @@ impl TestTree {
         self.sigmas.len() - 1
     }
 
-    /// Sum of Σ over a level and all beyond.
+    /// Σ₊, p × p: the sum of Σ over `level` and all outer levels.
     pub(super) fn beyond(&self, level: usize) -> DMatrix<f64> {
         self.sigmas[level..].iter().sum()
     }
@@ -131,7 +131,7 @@ impl TestTree {
         Weights { of_level: vec![DMatrix::zeros(p, p); self.sigmas.len()], of_means: DMatrix::zeros(means, means) }
     }
 
-    /// Weights in the distance of one test.
+    /// Weights of Σ and the means in the distance of one test, given Σ₊ of level 0.
     pub(super) fn test(&self, number: usize, beyond: &DMatrix<f64>) -> Weights {
         self.distance(&self.nodes[0][number], 0, beyond).0
     }
@@ -164,7 +164,7 @@ impl TestTree {
         weights
     }
 
-    /// Weights in the distance of one node, for its own level and those beyond; and M of the node.
+    /// Weights in the distance of one node, nonzero for `level` and all outer levels; and M of the node, p × p.
     fn distance(&self, node: &TreeNode, level: usize, beyond: &DMatrix<f64>) -> (Weights, DMatrix<f64>) {
         let j = &node.information;
         let m = scaled_inverse(&(j + j * beyond * j));
@@ -175,9 +175,10 @@ impl TestTree {
         (weights, m)
     }
 
-    /// Weights in the sum of all distances, of the groups of the outermost level and of the tests within them. Weights
-    /// of the means are zero: all that means add is in the distances of the outermost groups. `posteriors`: covariances
-    /// of m of the groups of each level, the innermost first.
+    /// Weights in the sum of all distances: of the outermost groups from the population, and of tests within the
+    /// outermost groups. Weights of the means are zero, because errors of the means increase the distances of the
+    /// outermost groups only. `posteriors`: V, the posterior covariance of m, of each group of each level, the
+    /// innermost level first.
     pub(super) fn all(&self, posteriors: &[Vec<&DMatrix<f64>>]) -> Weights {
         let mut all = self.zero_weights();
         for (level, nodes) in self.nodes.iter().enumerate() {
@@ -191,8 +192,9 @@ impl TestTree {
         all
     }
 
-    /// Difference of log |J⁻¹ + Σ₊|, the covariance that the distance of a node is measured by, between two values of a
-    /// parameter, for each node of a level. This tree is at the value between the two.
+    /// For each node of a level, the difference of log |J⁻¹ + Σ₊|, the log determinant of the covariance in the
+    /// distance, between the trees at a higher and at a lower value of a parameter. `self` is at the value between the
+    /// two.
     pub(super) fn differences(&self, level: usize, [low, high]: [&TestTree; 2]) -> Vec<f64> {
         let beyond = self.beyond(level);
         let one = |at: usize| {
@@ -204,7 +206,8 @@ impl TestTree {
         (0..self.nodes[level].len()).into_par_iter().map(one).collect()
     }
 
-    /// Difference of the log determinants of all distances together between two values of a parameter.
+    /// Difference of the log determinant of the joint covariance of all tests' estimates between the trees at a higher
+    /// and at a lower value of a parameter.
     pub(super) fn difference(&self, [low, high]: [&TestTree; 2]) -> f64 {
         let mut sum = 0.0;
         for (level, sigma) in self.sigmas.iter().enumerate() {
@@ -219,7 +222,7 @@ impl TestTree {
         sum
     }
 
-    /// Difference of log |J| on the range of J, which parameters do not change: tr J⁺ΔJ.
+    /// Difference of log |J| on the range of J, which no parameter changes, to first order: tr J⁺ΔJ.
     pub(super) fn log_det_information_change(
         &self,
         level: usize,
@@ -235,7 +238,7 @@ impl Weights {
     /// Weights in the sum of several sums of squares.
     ///
     /// # Panics
-    /// If there are none.
+    /// If `all` is empty.
     pub(super) fn sum<'a>(mut all: impl Iterator<Item = &'a Weights>) -> Weights {
         let mut sum = all.next().expect("there are tests").clone();
         all.for_each(|one| sum.add(one, 1.0));
@@ -255,7 +258,7 @@ fn weight(root: &DMatrix<f64>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     half.map_or_else(|| DMatrix::zeros(sigma.nrows(), sigma.nrows()), |half| half.transpose() * half)
 }
 
-/// Pseudo-inverse, computed from the scaled matrix so that large entries cost small ones no digits.
+/// Pseudo-inverse of a symmetric matrix, computed after scaling so that small entries lose no digits to large entries.
 fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let size = symmetric::sizes(a);
     let inverse: Vec<f64> = size.iter().map(|x| x.recip()).collect();
@@ -327,7 +330,7 @@ mod tests {
         (reductions, grouping)
     }
 
-    /// Covariance of the estimate of a unit's m from its tests, without the spread of units, by inverses.
+    /// Covariance of the estimate of a unit's m from the unit's tests, without Σ of the units, by inverses.
     fn of_unit(tests: std::ops::Range<usize>, sigmas: &[DMatrix<f64>]) -> DMatrix<f64> {
         let inverse = |a: DMatrix<f64>| a.try_inverse().expect("positive");
         let one = |test: usize| inverse(inverse(root(test).transpose() * root(test)) + &sigmas[0]);
@@ -335,7 +338,7 @@ mod tests {
     }
 
     /// Sums over lots of two log determinants: of the covariance of the lot's estimate, and of the joint covariance of
-    /// its tests.
+    /// the lot's tests.
     fn log_dets(sigmas: &[DMatrix<f64>]) -> [f64; 2] {
         let inverse = |a: DMatrix<f64>| a.try_inverse().expect("positive");
         let (mut first, mut lots, mut all) = (0, 0.0, 0.0);
@@ -376,8 +379,7 @@ mod tests {
         }
         let population = Population { mean: vec![0.0; P * LEVELS], coefficients: vec![], covariance };
         let tree = TestTree::new((&reductions, P), &population, Some(&grouping), &|_| DMatrix::zeros(P, 0));
-        // V of a lot is (Σ⁻¹ + J)⁻¹; V of a unit, by the joint law, has a part left by its own tests and a part from
-        // the lot
+        // V of a lot is (Σ⁻¹ + J)⁻¹; V of a unit is (Σ⁻¹ + J)⁻¹ plus a part by V of the lot
         let lots: Vec<DMatrix<f64>> =
             tree.nodes[2].iter().map(|node| posterior(&node.information, &sigmas[2])).collect();
         let of_unit = |(unit, node): (usize, &TreeNode)| {

@@ -2,18 +2,18 @@
 
 use crate::apply::{Law, Laws, Said};
 
-/// Sums over all tests, compared with their laws.
+/// Log density and sums of squares over all tests; each sum is compared with a law.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
     /// Log density of all measured values.
     pub log_density: f64,
-    /// Distances of the tests' initial states from the population; of groups of the outermost level, where tests stand
-    /// in groups.
+    /// Sum of the squared distances of the tests from the population, or of the groups of the outermost level where
+    /// tests are in groups.
     pub distance: Joint,
-    /// Distances of the tests of one outermost group from each other, whatever the group is; `None` without groups.
+    /// Sum of squares of the differences between tests of one outermost group; `None` without groups.
     pub within: Option<Joint>,
-    /// Residuals of measured values whatever the initial states are; without degrees of freedom where nothing was
-    /// measured.
+    /// Sum of the squared residuals of the measured values at the initial states that fit each test best; zero degrees
+    /// of freedom where nothing was measured.
     pub residual: Joint,
 }
 
@@ -30,7 +30,7 @@ pub struct Joint {
     pub p_value: Option<f64>,
 }
 
-/// (Number of squares that have degrees of freedom, sum of these degrees of freedom).
+/// (Number of squares with at least one degree of freedom, sum of the degrees of freedom of all squares).
 type Degrees = (usize, usize);
 
 impl Joint {
@@ -40,8 +40,8 @@ impl Joint {
 }
 
 impl Said {
-    /// Degrees of freedom of distances (of outermost groups, or of tests without groups), of distances within groups,
-    /// and of residuals.
+    /// Degrees of freedom of the distances (of outermost groups, or of tests without groups), of the distances within
+    /// groups, and of the residuals.
     pub(super) fn degrees(&self) -> [Degrees; 3] {
         let of = |degrees: &mut dyn Iterator<Item = usize>| {
             degrees.filter(|own| *own > 0).fold((0, 0), |(count, sum), own| (count + 1, sum + own))
@@ -57,7 +57,7 @@ impl Said {
         }
     }
 
-    /// Sums over all tests, compared with `laws`.
+    /// Log density and sums of squares over all tests; the sums are compared with `laws`.
     pub fn verdict(&self, laws: &Laws) -> Verdict {
         let [(_, of_distance), (_, of_within), (_, of_residual)] = self.degrees();
         // tests of one group are not independent; groups of the outermost level are
@@ -78,7 +78,8 @@ impl Said {
         }
     }
 
-    /// Log density of all measured values, summed over independent units: tests of one group are not independent.
+    /// Log density of all measured values: the sum over the groups of the outermost level, or over the tests where
+    /// there are no groups, because tests of one group are not independent.
     pub fn log_density(&self) -> f64 {
         match self.groups.last() {
             Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),

@@ -7,7 +7,8 @@ use kalfit_filter::reduce::{Fault, ReduceErrorKind, Subject};
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Expression, Level, Model, Operator, Scope, Site};
 
-/// The known values of columns, parameters and step for expressions, and what was found to differ from row to row.
+/// Known values of columns, parameters and step, to be substituted in expressions, and a list of the quantities that
+/// differ from row to row.
 #[derive(Debug)]
 pub struct Binder<'a> {
     model: &'a Model,
@@ -19,7 +20,7 @@ pub struct Binder<'a> {
 }
 
 impl<'a> Binder<'a> {
-    /// A binder at α. `at`: columns with their values.
+    /// A binder at `alpha`. `at`: (name of a column, value of the column).
     pub fn new(
         (model, alpha): (&'a Model, &'a Alpha),
         step: Option<f64>,
@@ -75,8 +76,8 @@ impl<'a> Binder<'a> {
         }
     }
 
-    /// The number that the expression equals on all rows. If there is none, the columns it depends on are noted and
-    /// zero is returned.
+    /// The value of the expression, if equal on all rows; otherwise zero, and the columns that the expression depends
+    /// on are noted.
     pub(super) fn number(&mut self, expression: &Expression, subject: Subject) -> Result<f64, ExportError> {
         let bound = self.bind(expression);
         match bound.as_number() {
@@ -85,8 +86,8 @@ impl<'a> Binder<'a> {
         }
     }
 
-    /// Notes the columns that a bound expression depends on if it is not a number; `counts`: whether a dependence on
-    /// this part is noted.
+    /// Notes the columns that `bound`, an expression that is not a number, depends on. `counts`: whether a dependence
+    /// on a given part of the expression is noted.
     pub(super) fn open(
         &mut self,
         bound: &Expression,
@@ -138,7 +139,7 @@ impl<'a> Binder<'a> {
         Fault::new(subject, ReduceErrorKind::NotFinite).name(self.model, None).into()
     }
 
-    /// The value of a numeric column that is fixed; if it is not, the dependence of `subject` on it is noted.
+    /// The value of a numeric column, if fixed; otherwise zero, and the dependence of `subject` on the column is noted.
     pub(super) fn cell(&mut self, column: usize, subject: Subject) -> Result<f64, ExportError> {
         self.number(&Expression::Column(column), subject)
     }

@@ -9,7 +9,7 @@ use crate::export::terms::{ONE, Terms};
 use kalfit_filter::reduce::{Fault, Filled, Moves, Preparer, Subject, ldl};
 use kalfit_model::{Alpha, Expression, Scope};
 
-/// A model of constant coefficients, evaluated.
+/// A model of constant coefficients, with transition and noise of one step.
 #[derive(Debug)]
 pub(super) struct ConstantModel {
     preparer: Preparer,
@@ -147,7 +147,7 @@ impl ConstantModel {
     }
 }
 
-/// The coefficient of an input among terms; zero where it does not occur.
+/// The coefficient of `input` among `terms`; zero where no term is the input.
 fn coefficient(terms: &Terms, input: &Expression) -> f64 {
     terms.iter().find(|(_, term)| term == input).map_or(0.0, |(coefficient, _)| *coefficient)
 }

@@ -6,10 +6,10 @@
 //! z_k = H x_k + D u_k + v_k,     v_k ~ N(0, R)
 //! ```
 //!
-//! F and Q are those of the reducer, by the same code; x0 = a + Aμ and P0 = P0 + AΣA' (theory §1), including the
-//! covariances of groups of all levels. The inputs u are columns that drive states or occur in an equation without a
-//! state, and the constant 1. A coefficient of a state, or a noise, that differs from row to row does not fit constant
-//! matrices: the columns it reads must be given values, or the model is refused.
+//! The code of the reducer computes F and Q. x0 is a + Aμ, and P0 is the known covariance of the start plus AΣA'
+//! (theory §1), with Σ the sum over all levels of groups. The inputs u are columns that drive states or occur in an
+//! equation without a state, and the constant 1. Coefficients of states and noise variances must not differ from row to
+//! row: columns that a coefficient or variance reads must be given values, or the model is refused.
 
 pub mod bind;
 mod error;
@@ -32,11 +32,11 @@ use kalfit_model::{Alpha, Expression, Phase, PhasedModel, Population};
 /// Which filter is to be exported.
 #[derive(Debug, Clone, Default)]
 pub struct Wanted {
-    /// Name of the phase; it can be left out where the model has one phase only.
+    /// Name of the phase; may be `None` where the model has only one phase.
     pub phase: Option<String>,
-    /// Length of a step, where anything depends on it.
+    /// Length of a step, in the unit of time; needed where a matrix depends on the length.
     pub step: Option<f64>,
-    /// (column, value): columns that have this value on all rows.
+    /// (Name of a column, value of the column on all rows).
     pub at: Vec<(String, String)>,
 }
 
@@ -54,11 +54,11 @@ pub struct Exported {
     pub Q: DMatrix<f64>,
     /// Effect B of the inputs on the states, n × k.
     pub B: DMatrix<f64>,
-    /// The inputs u: k expressions in the columns of the model; the number 1 for constants.
+    /// The inputs u: k expressions in the columns of the model, or the number 1 for the constant input.
     pub inputs: Vec<Expression>,
     /// Indices of the measurements of the phase that read a row at the fixed values.
     pub measurements: Vec<usize>,
-    /// For each of these measurements, the condition on the rows it reads; `None` where it reads all rows.
+    /// For each entry of `measurements`, the condition on the rows that are read; `None` where all rows are read.
     pub filters: Vec<Option<Expression>>,
     /// Measurement matrix H, m × n.
     pub H: DMatrix<f64>,
@@ -73,8 +73,8 @@ pub struct Exported {
 /// The filter of a phase at α, for a new test of a population that fits the model.
 ///
 /// # Errors
-/// Matrices that are not constant, with the columns they depend on; a step that is missing or has no effect; an unknown
-/// phase.
+/// Matrices that are not constant, with the columns that the matrices depend on; a step that is missing or has no
+/// effect; an unknown phase.
 pub fn export(
     model: &PhasedModel,
     alpha: &Alpha,

@@ -10,11 +10,11 @@ use kalfit_model::{Expression, Initial, Linear, Model, Motion};
 #[derive(Debug)]
 pub(super) struct PlainModel {
     pub(super) model: Model,
-    /// Input terms of each state.
+    /// Terms of the known input of each state.
     pub(super) drives: Vec<Terms>,
-    /// Input terms of each measurement.
+    /// Terms of the known input of each measurement.
     pub(super) offsets: Vec<Terms>,
-    /// `where` of each measurement, if it is not the same on all rows.
+    /// Condition `where` of each measurement; `None` where the condition holds on all rows.
     pub(super) filters: Vec<Option<Expression>>,
 }
 

@@ -2,7 +2,7 @@
 
 use kalfit_model::{Expression, Operator};
 
-/// (coefficient, term): terms are columns, or expressions in them; the constant is the term 1.
+/// (Coefficient, term) of each term of a sum; a term is an expression in columns, or 1 for the constant.
 pub(super) type Terms = Vec<(f64, Expression)>;
 
 /// The term 1, whose coefficient is the constant.

@@ -20,7 +20,7 @@ fn wave(seed: usize) -> Vec<f64> {
     (0..ROWS).map(|k| ((seed * 37 + k * 17) % 29) as f64 / 7.0 - 2.0).collect()
 }
 
-/// A wave with a value missing now and then.
+/// A wave with some missing values.
 fn gappy(seed: usize) -> Vec<f64> {
     wave(seed).into_iter().enumerate().map(|(k, x)| if (k + seed) % 7 == 3 { f64::NAN } else { x }).collect()
 }
@@ -142,7 +142,7 @@ fn a_model_of_rows_needs_no_step() {
     assert!(matches!(refused, Err(ExportError::StepWithoutTime { .. })), "{refused:?}");
 }
 
-/// Coefficients that depend on data are constant where these data are constant.
+/// Coefficients that depend on columns are constant where the columns are constant.
 #[test]
 fn columns_that_multiply_states_are_fixed_or_named() {
     let noise = kalfit_model::build::when(text_is("lot", "B"), 0.5, 0.9);
@@ -232,7 +232,7 @@ fn a_phase_that_inherits_has_no_start_of_its_own() {
     assert!(matches!(of(Some("later")), Err(ExportError::UnknownPhase { .. })));
 }
 
-/// x0 and P0 are those with which the reducer starts tests, plus the law of the estimated states.
+/// x0 and P0 are the start of the reducer plus the law of the estimated states.
 #[test]
 fn the_start_is_that_of_the_reducer() {
     let model = instrument().build().expect("a model");

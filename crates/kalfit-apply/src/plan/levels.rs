@@ -16,7 +16,7 @@ const MOST_TESTS: usize = 200_000;
 /// Number of groups in each group, and number of tests in each innermost group.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Arrangement {
-    /// For each level, the outermost first: number of its groups in each group of the level above.
+    /// Number of groups of each level in one group of the level above, the outermost level first.
     pub groups: Vec<usize>,
     /// Number of tests in each group of the innermost level.
     pub tests: usize,
@@ -28,9 +28,9 @@ impl Arrangement {
         self.groups.iter().fold(self.tests, |product, groups| product.saturating_mul(*groups))
     }
 
-    /// Differences between tests, or between groups of a level, can be separated from differences between the groups
-    /// that contain them only where these have several members. For each block of Σ, that of the tests first and then
-    /// the innermost level: the first block that it cannot be separated from; and last the same for the mean.
+    /// For each block of Σ (of the tests, then of the levels, the innermost first) and last for the mean: index of the
+    /// first block that cannot be separated from the block. Variation within groups can be separated from variation
+    /// between groups only where groups have several members.
     fn confounded_with(&self) -> Vec<usize> {
         let members = std::iter::once(self.tests).chain(self.groups.iter().rev().copied());
         let mut first = vec![0];
@@ -41,7 +41,7 @@ impl Arrangement {
         first
     }
 
-    /// For each test, the number of its group at each level, within the group above.
+    /// For each test, the index of the group at each level, among the groups within one group of the level above.
     fn paths(&self) -> Vec<Vec<usize>> {
         let start = vec![Vec::new()];
         let level = |paths: Vec<Vec<usize>>, &count: &usize| -> Vec<Vec<usize>> {
@@ -53,10 +53,10 @@ impl Arrangement {
     }
 }
 
-/// Expected standard errors for each arrangement of tests like those that the reductions were made of. The structure is
-/// that of a model with levels, and its population has one part for the tests themselves and one for each level. Groups
-/// of the arrangement are like the groups of the design in turn, starting again after the last, and so are the tests in
-/// each group; all tests of the design are one group where the structure has no grouping.
+/// Expected standard errors for each arrangement of tests like the tests of `reductions`, the design. `structure` is of
+/// a model with levels; `population` has one block for the tests and one for each level. Group k of an arrangement is
+/// like group k mod n of the n groups of the design, and test k of a group likewise; all tests of the design are one
+/// group where the structure has no grouping.
 ///
 /// # Errors
 /// The errors of [`plan`](crate::plan::plan); arrangements of too many tests.
@@ -110,7 +110,8 @@ pub fn plan_groups(
     })
 }
 
-/// Whether the quantity can be separated from every other block that has a share in it. Each block has `own` states.
+/// Whether a quantity of Σ can be separated from the mean and from every other block of Σ in which the state varies.
+/// Each block has `own` states.
 fn is_separable(quantity: Quantity, own: usize, population: &Population, confounded_with: &[usize]) -> bool {
     let (Quantity::StdDev(i) | Quantity::Correlation(i, _) | Quantity::Covariance(i, _)) = quantity else {
         return true;
@@ -122,16 +123,17 @@ fn is_separable(quantity: Quantity, own: usize, population: &Population, confoun
         .all(|other| other == block || confounded_with[other] != confounded_with[block] || !varies(other))
 }
 
-/// Members of each group of a design.
+/// Indices of the members of each group of a design.
 struct DesignGroups {
-    /// For each level, the outermost first, and each group: the numbers of its groups at the next level.
+    /// For each level, the outermost first, and each group of the level above (for the outermost level, one root):
+    /// indices of the groups within the group.
     inner: Vec<Vec<Vec<usize>>>,
-    /// For each group of the innermost level: the numbers of its tests.
+    /// Indices of the tests of each group of the innermost level.
     tests: Vec<Vec<usize>>,
 }
 
 impl DesignGroups {
-    /// Groups of tests with these ids, of `levels` levels; all tests are in one group where `grouping` is `None`.
+    /// Groups of the tests `ids` in `levels` levels; all tests are in one group where `grouping` is `None`.
     fn new(ids: &[&str], grouping: Option<&Grouping>, levels: usize) -> DesignGroups {
         let Some(own) = grouping else {
             return DesignGroups { inner: vec![vec![vec![0]]; levels], tests: vec![(0..ids.len()).collect()] };
@@ -152,7 +154,7 @@ impl DesignGroups {
         DesignGroups { inner, tests }
     }
 
-    /// The test of the design that stands for test `number` of the group on this path.
+    /// Index of the test of the design that test `number` of the group at `path` is like.
     fn like(&self, path: &[usize], number: usize) -> usize {
         let group = path.iter().zip(&self.inner).fold(0, |group, (&at, inner)| {
             let own = &inner[group];

@@ -1,4 +1,4 @@
-//! What suboptimal filters cost an ensemble: expected standard errors with them over those without.
+//! Information that suboptimal filters lose: ratios of expected standard errors with and without the filters.
 
 use nalgebra::DMatrix;
 
@@ -11,17 +11,18 @@ use kalfit_model::Population;
 /// Squared pivot of the scaled information below which there is no information.
 const LEAST_PIVOT: f64 = 1e-10;
 
-/// Information lost by the estimates of an ensemble, compared with its measurements, at a population.
+/// Information that the estimates of suboptimal filters lose, compared with the measurements, at a population.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InformationLost {
-    /// Ratios of standard errors, for each quantity that both inform of.
+    /// Ratios of standard errors, for each quantity that both estimates and measurements inform of.
     pub std_errors: Vec<StdErrorRatio>,
-    /// log |I| of the estimates less that of the measurements, I the expected information on all free values; at most
-    /// 0, and independent of units. `None` where either leaves something unidentified.
+    /// log |I| of the estimates less log |I| of the measurements, with I the expected information on all free values;
+    /// at most 0, and independent of units. `None` where the estimates or the measurements do not identify all free
+    /// values.
     pub log_determinant: Option<f64>,
 }
 
-/// How much larger the standard error of a quantity is.
+/// Ratio of the standard errors of a quantity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StdErrorRatio {
     /// The quantity.
@@ -55,7 +56,7 @@ pub fn information_lost(
     Ok(InformationLost { std_errors, log_determinant })
 }
 
-/// log |I| of the free directions, over an orthonormal basis of them in the user's units.
+/// log |I| on the free directions, with respect to a basis of the directions that is orthonormal in the user's units.
 fn log_determinant(state: &FinalState) -> Option<f64> {
     let (problem, tangent) = (&state.problem, &state.newton_iterate.tangent);
     let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());

@@ -6,9 +6,10 @@
 //! mean:        Σ_j B'W_jB          covariance, directions D, E:  ½ Σ_j tr(W_j D W_j E)          cross: 0
 //! ```
 //!
-//! in the free coordinates of the model's structure. Its inverse is the covariance of the maximum-likelihood estimates, to first
-//! order in 1/N; standard deviations and correlations follow by the delta method. N tests like the n of the design have N/n times
-//! the design's information, so that all standard errors fall as 1/√N.
+//! in the free coordinates of the model's structure. The inverse of the information is the covariance of the
+//! maximum-likelihood estimates, to first order in 1/N; standard deviations and correlations follow by the delta
+//! method. N tests like the n tests of the design have N/n times the design's information, so that all standard errors
+//! fall as 1/√N.
 
 mod error;
 mod levels;
@@ -29,23 +30,24 @@ use kalfit_model::Population;
 /// Why a quantity has no standard error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reason {
-    /// The model fixes it, so it has no standard error.
+    /// The model fixes the quantity.
     Fixed,
-    /// The design has no information about it.
+    /// The design has no information about the quantity.
     Unidentified,
-    /// Σ is singular there: estimates pile up at the boundary, and no normal law describes them.
+    /// Σ is singular at the states of the quantity: many estimates are on the boundary, and no normal law describes the
+    /// estimates.
     Boundary,
 }
 
-/// One quantity and how well it will be known.
+/// One quantity with expected standard errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planned {
     /// The quantity.
     pub quantity: Quantity,
-    /// Its value in the population; `None` for a correlation with a variance of zero.
+    /// Value of the quantity in the population; `None` for a correlation with a variance of zero.
     pub value: Option<f64>,
-    /// Standard error for each number of tests, or why there is none. In groups of tests it is infinite for
-    /// arrangements that do not identify the quantity.
+    /// Standard error for each number of tests or each arrangement, infinite for an arrangement that does not identify
+    /// the quantity; or the reason why the quantity has no standard error.
     pub std_errors: Result<Vec<f64>, Reason>,
 }
 
@@ -58,12 +60,13 @@ pub struct Plan {
     pub tests: Vec<usize>,
     /// Arrangements in groups, where the model has levels.
     pub arrangements: Vec<Arrangement>,
-    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
+    /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs of
+    /// states within a phase only.
     pub quantities: Vec<Planned>,
 }
 
-/// Expected standard errors for each number of `tests` like those that the reductions were made of. Only information and
-/// covariates of the reductions count ([`PhasedReducer::reduce_designs`](kalfit_filter::reduce::PhasedReducer::reduce_designs)
+/// Expected standard errors for each number of `tests` like the tests of `reductions`. Only information and covariates
+/// of the reductions count ([`PhasedReducer::reduce_designs`](kalfit_filter::reduce::PhasedReducer::reduce_designs)
 /// makes such reductions); the dynamic parameters are taken as known.
 ///
 /// ```
@@ -126,7 +129,7 @@ pub fn plan(
     Ok(Plan { design_tests: n, tests: tests.to_vec(), arrangements: Vec::new(), quantities })
 }
 
-/// Expected information of some tests at a population, and what follows from it.
+/// Expected information of tests at a population, with unidentified directions and standard errors.
 struct Expected {
     state: FinalState,
     unidentified: Vec<Direction>,
@@ -163,7 +166,7 @@ fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
     means.chain(spreads).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 
-/// Results at the population.
+/// The results of [`Expected`], with the population.
 struct ExpectedAt<'a> {
     state: &'a FinalState,
     population: &'a Population,
@@ -195,7 +198,7 @@ impl ExpectedAt<'_> {
         let elements: &[(usize, usize)] = match quantity {
             Quantity::Mean(i) if takes_part(infer::Quantity::Mean, i) => return Reason::Unidentified,
             Quantity::Mean(_) => return Reason::Fixed,
-            Quantity::Coefficient(_) => return Reason::Unidentified, // no structure fixes one
+            Quantity::Coefficient(_) => return Reason::Unidentified, // no structure fixes a coefficient
             Quantity::StdDev(i) => &[(i, i)],
             Quantity::Covariance(i, j) => &[(i, j)],
             Quantity::Correlation(i, j) => &[(i, j), (i, i), (j, j)],

@@ -1,9 +1,9 @@
-//! Limits of the mean, and limits that a given part of all tests stays within.
+//! Limits of the mean, and tolerance limits, which contain a given part of all tests.
 //!
-//! The estimate of the mean and that of the variance over tests are treated as independent. For N tests that determine
-//! a quantity of variance s² with an error of variance r each, the estimate of s² + r is (s² + r) χ²/ν, and that of the
-//! mean has the variance (s² + r) / N: both N and r follow from the standard errors. Given the estimates, the mean and
-//! the variance are then distributed as (generalised confidence)
+//! The estimates of the mean and of the variance over tests are treated as independent. For N tests that each determine
+//! a quantity of variance s² with an error of variance r, the estimate of s² + r is distributed as (s² + r) χ²_ν/ν, and
+//! the estimate of the mean has the variance (s² + r)/N; N and r follow from the standard errors. Given the estimates,
+//! the mean and the variance are then distributed as (generalised confidence)
 //!
 //! ```text
 //! s_c² = (s² + r)/c² - r,    m_c = m - Z √V / c,    c² = χ²_ν/ν,    Z ~ N(0, 1)
@@ -11,8 +11,8 @@
 //! two sides:  P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ
 //! ```
 //!
-//! The limits are exact where r = 0: their factors are then those of the tables. By maximum likelihood s² is too small
-//! because of the means that were estimated with it; this is corrected.
+//! The limits are exact where r = 0, with the factors of the usual tables. By maximum likelihood the estimate of s² is
+//! too small, because the means were estimated from the same tests; the limits are computed from s² without this bias.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
@@ -28,9 +28,9 @@ use crate::predict::{MeanLimits, Predicted};
 pub struct Limits {
     /// γ: fraction of all ensembles in which the limits hold; a half or more.
     pub confidence: f64,
-    /// p: fraction of all tests that is meant to be within the tolerance limits; a half or more.
+    /// p: fraction of all tests that the tolerance limits are to contain; a half or more.
     pub content: f64,
-    /// Whether p is meant for both tolerance limits together or for each of them.
+    /// Whether p applies to both tolerance limits together or to each limit.
     pub sides: Sides,
 }
 
@@ -48,10 +48,10 @@ pub enum Sides {
 const KNOWN_DEGREES: f64 = 1e5;
 /// Number of intervals in the sum that replaces an expectation over a normal variable.
 const INTERVALS: usize = 40;
-/// Half width of the range of that sum, in standard deviations; the normal law is negligible beyond.
+/// Half width of the range of the sum over `INTERVALS`, in standard deviations; the normal law is negligible beyond.
 const HALF_RANGE: f64 = 6.7;
 
-/// Computes limits of predictions. Factors are cached: most values of a design share theirs with others.
+/// Computes limits of predictions. Factors are cached, because many values of a design have one factor.
 #[derive(Debug)]
 pub struct Bounds {
     limits: Limits,
@@ -62,11 +62,11 @@ pub struct Bounds {
 /// Largest number of factors that are cached.
 const MOST_CACHED: usize = 1 << 16;
 
-/// Variance over tests, and how well it is known.
+/// Estimates of the variance over tests and of the mean, with degrees of freedom.
 struct VarianceEstimate {
     /// Variance s² over tests.
     variance: f64,
-    /// s² + r, the variance with the errors of the tests.
+    /// s² + r, the variance over tests including the errors of the tests.
     scale: f64,
     /// Degrees of freedom ν of `scale`; infinite where the variance is known.
     degrees: f64,
@@ -94,7 +94,8 @@ impl VarianceEstimate {
         let alone = 2.0 * population * population / of_population;
         let tests_from_errors =
             if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
-        // the number that the errors of mean and variance imply together, or the number that the latter implies alone
+        // number of tests that the errors of mean and variance imply together, at least the number that the error of
+        // the variance implies alone
         let (left, inflation) = if estimation.is_restricted {
             // `tests_from_errors` is N² / (N - k)
             let tests =
@@ -116,7 +117,7 @@ impl VarianceEstimate {
         (degrees >= 0.5).then_some(spread)
     }
 
-    /// Whether r = 0: then all half widths scale with 1/c, and the c at which a limit is met needs no search.
+    /// Whether r = 0: then all half widths are proportional to 1/c, and no search for c is needed.
     fn has_no_test_error(&self) -> bool {
         self.scale <= self.variance
     }
@@ -146,7 +147,7 @@ impl Bounds {
         Bounds { limits, widths: Widths::new(limits.content), known: Mutex::default() }
     }
 
-    /// The normal quantile of limits of the mean by profile likelihood.
+    /// Normal quantile at (1 + γ)/2, for limits of the mean by profile likelihood.
     pub fn quantile(&self) -> f64 {
         normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))
     }
@@ -156,7 +157,7 @@ impl Bounds {
         &self.limits
     }
 
-    /// Limits that contain the mean over tests with confidence γ; `None` where they are not known.
+    /// Limits that contain the mean over tests with confidence γ; `None` where the limits are not known.
     pub fn of_mean(&self, value: &Predicted) -> Option<[f64; 2]> {
         if let MeanLimits::Profile(found) = value.limits {
             return found;
@@ -171,8 +172,8 @@ impl Bounds {
         Some([value.mean - half, value.mean + half])
     }
 
-    /// Limits that p of all tests are within with confidence γ; `None` where they are not known, or where a variance
-    /// that they depend on was estimated as zero.
+    /// Limits that contain p of all tests with confidence γ; `None` where the limits are not known, or where a variance
+    /// that affects the limits was estimated as zero.
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
         let spread = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
         if spread.variance == 0.0 {
@@ -182,7 +183,7 @@ impl Bounds {
         Some([value.mean - half, value.mean + half])
     }
 
-    /// Factor h/s, which depends on ratios alone.
+    /// Factor h/s, a function of (s² + r)/s², V/s² and ν.
     fn factor(&self, spread: &VarianceEstimate) -> Option<f64> {
         let [scale, of_mean] = [spread.scale, spread.of_mean].map(|x| x / spread.variance);
         let key = [scale, of_mean, spread.degrees].map(f64::to_bits);
@@ -341,7 +342,7 @@ mod tests {
         }
     }
 
-    /// By restricted likelihood the variance has no bias, and its error is that of N - 1.
+    /// By restricted likelihood the variance has no bias, and an error by N - 1 degrees of freedom.
     #[test]
     fn restricted_likelihood_has_the_same_limits() {
         for tests in [5.0, 10.0, 30.0] {

@@ -9,19 +9,21 @@ use kalfit_infer::{Estimand, Estimated, Knowledge};
 
 /// Fraction of a mean's error variance below which the errors of one estimate cost no degree of freedom.
 const NOTICEABLE_SHARE: f64 = 0.01;
-/// Variances are one estimate where the squared correlation of their estimates is closer to one than this.
+/// Largest difference from 1 of the squared correlation of two estimated variances at which the two count as one
+/// estimate.
 const PERFECT_CORRELATION_GAP: f64 = 1e-6;
-/// States have no independent variation in directions where their correlation matrix has an eigenvalue below this.
+/// Eigenvalue of a correlation matrix of states below which the direction has no independent variation.
 const LEAST_EIGENVALUE: f64 = 1e-9;
 
-/// One value, and what it depends on.
+/// Inputs for one value: the errors of the estimates, and the derivatives of the value's mean and variance.
 pub(super) struct LostDegrees<'a> {
     pub(super) knowledge: &'a Knowledge,
     /// Covariance of the initial state of tests.
     pub(super) covariance: &'a DMatrix<f64>,
-    /// (element, column) of each regression coefficient.
+    /// (Element of μ, column of the data) of each regression coefficient.
     pub(super) regressions: &'a [(usize, usize)],
-    /// Derivatives with respect to the estimates: of the mean, and of the variance by the initial state.
+    /// Derivatives with respect to the estimates: `by_mean` of the value's mean, `by_variance` of the value's variance
+    /// by the initial state.
     pub(super) by_mean: DVector<f64>,
     pub(super) by_variance: DVector<f64>,
     /// Whether the initial value of a state affects the value.
@@ -29,10 +31,11 @@ pub(super) struct LostDegrees<'a> {
 }
 
 impl LostDegrees<'_> {
-    /// One for the means of the states in the value, whatever they are: as many tests determine one combination of
-    /// states as any other. More where variances were tied: one for each mean that was estimated with the one variance.
-    /// One for each column that means are regressed on, and for each parameter, and each state that is identical in all
-    /// tests, that the mean depends on noticeably.
+    /// Sum of three numbers. 1 for the means of the states that affect the value, because every test determines one
+    /// combination of these states; where variances were tied, the number of independent directions of the tied states.
+    /// 1 for each column that the means are regressed on (for each column and element where variances were tied). 1 for
+    /// each parameter, and for each state that is identical in all tests, that contributes a noticeable part of the
+    /// error of the value's mean.
     pub(super) fn lost(&self) -> usize {
         let tied = self.tied();
         let is_in = |element: usize| (self.affects)(element) || tied.contains(&element);
@@ -73,8 +76,8 @@ impl LostDegrees<'_> {
         self.covariance[(state, state)] > 0.0 || self.variances().any(|(_, i)| i == state)
     }
 
-    /// Number of parameters, and of means that are identical in all tests, whose errors are a noticeable part of the
-    /// value's.
+    /// Number of parameters, and of means of states that are identical in all tests, whose errors are a noticeable part
+    /// of the error of the value's mean.
     fn noticeable_others(&self) -> usize {
         let covariances = &self.knowledge.covariance * &self.by_mean;
         let whole = self.by_mean.dot(&covariances);
@@ -89,7 +92,7 @@ impl LostDegrees<'_> {
         fixed.chain(parameters).filter(|&k| is_noticeable(k)).count()
     }
 
-    /// States with an estimated mean whose variance is one estimate with that of the value.
+    /// States with an estimated mean whose estimated variance is perfectly correlated with the variance of the value.
     fn tied(&self) -> BTreeSet<usize> {
         let covariances = &self.knowledge.covariance * &self.by_variance;
         let whole = self.by_variance.dot(&covariances);
@@ -100,7 +103,7 @@ impl LostDegrees<'_> {
         self.variances().filter(|&(k, i)| whole > 0.0 && is_one(k) && has_mean(i)).map(|(_, i)| i).collect()
     }
 
-    /// Number of directions in which states vary independently.
+    /// Rank of the correlation matrix of `states`: the number of directions in which the states vary independently.
     fn independent_directions(&self, states: &BTreeSet<usize>) -> usize {
         let states: Vec<usize> = states.iter().copied().filter(|&i| self.covariance[(i, i)] > 0.0).collect();
         if states.len() < 2 {

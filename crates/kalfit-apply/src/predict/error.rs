@@ -23,7 +23,7 @@ pub enum PredictError {
         test: String,
         /// Number of the row, from 1.
         row: usize,
-        /// Which figure is not finite.
+        /// Name of the figure that is not finite.
         what: &'static str,
     },
 }

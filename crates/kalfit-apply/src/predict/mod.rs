@@ -1,12 +1,12 @@
-//! Predictions of a test that has not been made: states and outputs along its design, with their variances from test to
-//! test, by process noise, and by errors of estimation (theory §12).
+//! Predictions of a test that has not been made: states and outputs at each step of a design, with variances from test
+//! to test, by process noise and by errors of estimation (theory §12).
 //!
 //! ```text
 //! y_k = g'θ̂ + …        population g'Σg,   process noise h'P_kh,   estimation (∂y/∂θ)' Var[θ̂] (∂y/∂θ)
 //! ```
 //!
-//! Nothing is measured, so all three variances add up. They give limits of the mean, and limits that a given part of
-//! all tests stays within.
+//! Nothing is measured, so the three variances add up. Limits of the mean, and tolerance limits, which contain a given
+//! part of all tests, follow from the variances.
 
 mod bounds;
 mod degrees;
@@ -69,7 +69,7 @@ impl Output {
 pub enum What {
     /// A state, by its index in the phase's model.
     State(usize),
-    /// An output, by its index among those of the phase.
+    /// An output, by its index among the outputs of the phase.
     Output(usize),
 }
 
@@ -85,11 +85,11 @@ pub struct PhasePredictions {
 /// States and outputs at one step: rows of the same time are one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepPredictions {
-    /// Rows of the step among those of the phase.
+    /// Rows of the step among the rows of the phase.
     pub rows: Range<usize>,
     /// Time of the step, where the model has a column of times.
     pub time: Option<f64>,
-    /// Values of the states, one per step, and then of the outputs, one per row.
+    /// Values of the states, one for each state, then of the outputs, one for each row and output.
     pub values: Vec<Predicted>,
 }
 
@@ -98,7 +98,7 @@ pub struct StepPredictions {
 pub struct Predicted {
     /// The state or output that is predicted.
     pub what: What,
-    /// Row of the value among those of the phase.
+    /// Row of the value among the rows of the phase.
     pub row: usize,
     /// Mean over tests.
     pub mean: f64,
@@ -106,10 +106,10 @@ pub struct Predicted {
     pub population: f64,
     /// Variance by process noise.
     pub process: f64,
-    /// Whether a variance that the value depends on was estimated as zero: standard errors do not say how large it may
-    /// be.
+    /// Whether a variance or noise level that affects the value was estimated as zero, so that no standard error shows
+    /// how large the variance may be.
     pub hangs_on_zero: bool,
-    /// Errors of the estimates; `None` where the value depends on something that the data do not determine.
+    /// Errors of the estimates; `None` where the value depends on a quantity that the data do not determine.
     pub estimation: Option<Estimation>,
     /// What limits of the mean are computed from.
     pub limits: MeanLimits,
@@ -121,7 +121,7 @@ pub enum MeanLimits {
     /// The standard error of the mean.
     #[default]
     Error,
-    /// The limits by the mean's profile likelihood; `None` where there are none.
+    /// The limits by the mean's profile likelihood; `None` where the profile gives no limits.
     Profile(Option<[f64; 2]>),
 }
 
@@ -132,7 +132,7 @@ pub struct Estimation {
     pub mean: f64,
     /// Variance of the estimate of the variance over tests, including process noise.
     pub variance: f64,
-    /// Variance of the estimate of the part of that variance that is by the initial state.
+    /// Variance of the estimate of the variance over tests by the initial state alone.
     pub population: f64,
     /// Number of degrees of freedom that the variance lost to the mean, by maximum likelihood.
     pub lost: usize,
@@ -148,8 +148,8 @@ impl Predicted {
         self.population + self.process
     }
 
-    /// Standard deviation of the value that will be observed about its prediction, with errors of the estimates where
-    /// known.
+    /// Standard deviation of the difference between the value of a new test and the prediction, including errors of the
+    /// estimates where known.
     pub fn std_dev(&self) -> f64 {
         (self.variance() + self.estimation.map_or(0.0, |estimation| estimation.mean)).sqrt()
     }
@@ -162,15 +162,15 @@ pub struct Initial {
     pub mean: Vec<f64>,
     /// Covariance of ξ.
     pub covariance: DMatrix<f64>,
-    /// Covariance of `mean` given μ: what the tests of a known group leave open. It is counted with the errors of the
-    /// estimates. `None` for a new group, whose mean is μ.
+    /// Covariance of `mean` given μ and the tests of a known group; it counts among the errors of the estimates. `None`
+    /// for a new group, whose mean is μ.
     pub left: Option<DMatrix<f64>>,
     /// Derivative of `mean` with respect to μ; `None` where `mean` is μ itself.
     pub shrinkage: Option<DMatrix<f64>>,
-    /// Derivative of `mean` with respect to the regression coefficients, which are not part of it; `None` where there
-    /// is none.
+    /// Derivative of `mean` with respect to the regression coefficients; `None` where `mean` does not depend on the
+    /// coefficients.
     pub by_coefficients: Option<DMatrix<f64>>,
-    /// Levels of groups whose covariance is included in `covariance`, by their blocks of Σ.
+    /// Indices of the blocks of Σ, one per level, that `covariance` is the sum of.
     pub levels: Range<usize>,
 }
 
@@ -182,10 +182,10 @@ impl Initial {
         Initial { mean, covariance, left: None, shrinkage: None, by_coefficients: None, levels }
     }
 
-    /// Initial state of a new test of a known group of the innermost level: from the posterior of the mean m of its
-    /// tests, V = Var[m | z], and from `follows`, the derivatives of m with respect to μ and the coefficients. Without
-    /// `follows`, the derivative with respect to μ is VΣ⁺, Σ that of all levels together; the true one is smaller where
-    /// other groups of the same outer group inform of m, too.
+    /// Initial state of a new test of a known group of the innermost level. `mean`, `covariance`: posterior E[m | z], V
+    /// = Var[m | z] of the mean m of the group's tests; `follows`: derivatives of m with respect to μ and the
+    /// coefficients. Without `follows`, the derivative with respect to μ is VΣ⁺ + I - ΣΣ⁺, with Σ the sum over the
+    /// levels of groups; the true derivative is smaller where different groups of one outer group also inform of m.
     pub fn of_group(
         model: &PhasedModel,
         population: &Population,
@@ -211,20 +211,20 @@ impl Initial {
     }
 }
 
-/// A model at (α, μ, Σ), with the errors of these values.
+/// A model at given α and regression coefficients, with the errors of the estimates.
 #[derive(Debug)]
 pub struct Predictor {
     model: PhasedModel,
     coefficients: Vec<f64>,
     knowledge: Option<Knowledge>,
-    /// Filters at α, and at α with each free value moved to both sides.
+    /// Filters at α, then at each α of `steps.moved()`.
     propagators: Vec<Propagator>,
     steps: ValueSteps,
 }
 
 impl Predictor {
-    /// A model that measures nothing, with the outputs of each phase. `knowledge`: `None` where the errors of the
-    /// estimates are not known; [`Knowledge::exact`] for values that are given.
+    /// A predictor for a model with `outputs`, by phase, instead of measurements. `knowledge`: `None` where the errors
+    /// of the estimates are not known; [`Knowledge::exact`] for values that are given.
     ///
     /// # Errors
     /// Coefficients that have no value.
@@ -255,7 +255,7 @@ impl Predictor {
         found.into_iter().collect()
     }
 
-    /// Means of all values of designs as linear combinations of (μ, γ), at some α, in the order of
+    /// Means of all values of designs as linear combinations of (μ, γ), at `alpha`, in the order of
     /// [`Predictor::predict`].
     ///
     /// # Errors

@@ -20,7 +20,7 @@ pub struct Ellipse {
     pub angle: f64,
 }
 
-/// Ratio of the variances along the two axes below which the smaller one is rounding.
+/// Ratio of the variances along the two axes below which the smaller variance is rounding error.
 const LEAST_VARIANCE_RATIO: f64 = 1e-12;
 /// Number of strips in the integral over a circle.
 const STRIPS: usize = 400;
@@ -35,7 +35,7 @@ impl Pair {
         ([long.max(0.0).sqrt(), short], 0.5 * (2.0 * c).atan2(a - b))
     }
 
-    /// The ellipse that holds a part of all tests.
+    /// The ellipse that contains the fraction `content` of all tests.
     pub fn ellipse(&self, content: f64) -> Ellipse {
         let (axes, angle) = self.axes();
         let law = ChiSquared::new(2.0).expect("two degrees of freedom");
@@ -43,13 +43,13 @@ impl Pair {
         Ellipse { axes: axes.map(|axis| radius * axis), angle }
     }
 
-    /// Radius of the circle about the means that holds a part of all tests; for one half of them, the circular error
-    /// probable.
+    /// Radius of the circle about the means that contains the fraction `content` of all tests; for ½, the circular
+    /// error probable.
     pub fn circle(&self, content: f64) -> f64 {
         radius(content, [0.0; 2], self.axes().0)
     }
 
-    /// Radius of the circle about zero that holds a part of all tests.
+    /// Radius of the circle about zero that contains the fraction `content` of all tests.
     pub fn circle_about_zero(&self, content: f64) -> f64 {
         let (axes, angle) = self.axes();
         let ([x, y], (sin, cos)) = (self.mean, angle.sin_cos());

@@ -1,7 +1,7 @@
 //! Roots of monotonic functions of one variable.
 
-/// Root of a function between two points at which its signs differ: regula falsi, in which the value at an end that
-/// stays is halved (Illinois), and bisection where the function is infinite.
+/// Root of a function between two points at which the function has opposite signs: by regula falsi, with the value at
+/// the end that does not move halved (Illinois), and by bisection where the function is infinite.
 fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)) -> f64 {
     const ROOT_TOLERANCE: f64 = 1e-11;
     for _ in 0..100 {
@@ -31,7 +31,7 @@ pub(super) struct EarlierRoots {
 }
 
 impl EarlierRoots {
-    /// (Starting point, distance to the next point).
+    /// (Logarithm of the starting point, distance to the next point in logarithms).
     fn start(&self) -> (f64, f64) {
         match self.last {
             [Some(last), Some(before)] => (2.0 * last - before, 0.02),
@@ -45,8 +45,8 @@ impl EarlierRoots {
     }
 }
 
-/// Point at which a decreasing function falls to `level`; zero where it is below from the start. The function is about
-/// a power of c, so the search is in logarithms, and starts from earlier roots.
+/// Point c at which a decreasing function falls to `level`; zero where the function is below `level` at every c,
+/// infinity where above. The function is nearly a power of c, so the search is in ln c, and starts from earlier roots.
 pub(super) fn decreasing_root(of: &dyn Fn(f64) -> f64, level: f64, near: &mut EarlierRoots) -> f64 {
     const MOST_LOG_DISTANCE: f64 = 20.0;
     let above = |u: f64| {
@@ -75,8 +75,8 @@ pub(super) fn decreasing_root(of: &dyn Fn(f64) -> f64, level: f64, near: &mut Ea
     root.exp()
 }
 
-/// Point at which an increasing function that is zero at zero reaches `wanted`; `None` where it never does. `size`:
-/// order of magnitude of the root.
+/// Point at which an increasing function that is zero at zero reaches `wanted`; `None` where the function stays below
+/// `wanted`. `size`: order of magnitude of the root.
 pub(super) fn increasing_root(of: &dyn Fn(f64) -> f64, wanted: f64, size: f64) -> Option<f64> {
     let at = |x: f64| (x, of(x * size) - wanted);
     let start = at(1.0);

@@ -1,5 +1,5 @@
-//! The delta method: values at α with each free value moved to both sides, and their variances by errors of the
-//! estimates.
+//! The delta method: variances of predicted values by errors of the estimates, from predictions at α with each free
+//! value moved down and up.
 
 use std::ops::Range;
 
@@ -11,17 +11,18 @@ use crate::predict::{Estimation, Initial};
 use kalfit_infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
 use kalfit_model::{Alpha, Phase, PhasedModel};
 
-/// Fraction of its scale below which a derivative counts as zero.
+/// Fraction of the scale of a derivative below which the derivative counts as zero.
 const NEGLIGIBLE_SLOPE: f64 = 1e-9;
 
-/// Free values of α moved to both sides, for derivatives.
+/// α with each free value moved down and up, for derivatives by differences.
 #[derive(Debug)]
 pub(super) struct ValueSteps {
-    /// For each quantity, and then for each open one: (index of its lower side in `moved`, distance between the sides).
+    /// For each estimated quantity, then for each quantity that the data do not determine: (index in `moved` of α with
+    /// the lower value, followed by α with the higher value; difference of the two values). `None` without such a pair.
     side_indices: Vec<Option<(usize, f64)>>,
-    /// Indices in `moved` of the noise levels that were estimated as zero.
+    /// Indices in `moved` of each α in which a noise level that was estimated as zero is set to one.
     probes: Vec<usize>,
-    /// (element, column) of each regression coefficient.
+    /// (Element of μ, column of the data) of each regression coefficient.
     regressions: Vec<(usize, usize)>,
     moved: Vec<Alpha>,
 }
@@ -94,7 +95,7 @@ impl ValueSteps {
     }
 
     /// Variances of the estimates of a value's mean and of its variance over tests; `sides`: the value at each α of
-    /// `moved`. `None` where the value depends on something that the data do not determine.
+    /// `moved`. `None` where the value depends on a quantity that the data do not determine.
     pub(super) fn estimation(
         &self,
         knowledge: &Knowledge,
@@ -151,8 +152,8 @@ impl<'a> Slopes<'a> {
         Slopes { steps, initial, value, sides, own, by_mean }
     }
 
-    /// Derivatives of (mean, variance by the initial state, variance by process noise) with respect to estimand number
-    /// `at`.
+    /// Derivatives of (mean, variance by the initial state, variance by process noise) with respect to the estimand
+    /// with index `at`.
     fn by(&self, at: usize, estimand: &Estimand) -> [f64; 3] {
         let p = self.own.len();
         match *estimand {
@@ -176,7 +177,7 @@ impl<'a> Slopes<'a> {
         }
     }
 
-    /// Whether the value depends on estimand number `at`.
+    /// Whether the value depends on the estimand with index `at`.
     fn depends_on(&self, at: usize, estimand: &Estimand) -> bool {
         let size = self.own.amax();
         if let Estimand::Population(_) = estimand {

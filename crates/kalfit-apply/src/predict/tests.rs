@@ -16,7 +16,7 @@ const DENSITY: f64 = 0.6;
 const MEAN: [f64; 2] = [0.5, -0.3];
 const SIGMA: [f64; 4] = [1.2, 0.4, 0.4, 0.7];
 
-/// y = bias + u slope + walk + 1.5; the walk starts as given.
+/// y = bias + u slope + walk + 1.5; the walk has a known start.
 fn states(walk: (f64, f64), unknown: bool) -> ModelBuilder {
     let own = |name: &str| if unknown { constant(name) } else { constant(name).known(0.0, 0.0) };
     Model::builder("a walk")
@@ -147,7 +147,7 @@ fn what_estimates_leave_open_follows_by_derivatives() {
             assert_eq!(estimation.lost, 1);
         }
     }
-    // the walk depends on q alone, the bias on nothing that is open
+    // the walk depends on q alone, the bias on no open quantity
     let open = Knowledge { open: vec![Estimand::Parameter { parameter: 0, level: None }], ..Knowledge::exact() };
     let found = predicted(&model, cells(&model, 0..TIMES.len()), open);
     let last = &found[0].steps[4].values;
@@ -180,8 +180,8 @@ fn a_known_group_is_told_from_a_new_one() {
     near("of a new group", new.covariance[(1, 1)], 0.7 + 0.3);
 }
 
-/// The means that were estimated with the variance are those of the states in a value and of the columns they are
-/// regressed on, whatever the values of these columns.
+/// Degrees of freedom are lost to the means of the states in a value and to the columns that the means are regressed
+/// on, whatever the values of the columns.
 #[test]
 fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
     let model = Model::builder("two")
@@ -212,7 +212,7 @@ fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
     }
 }
 
-/// Degrees of freedom lost by a, b and y = a + b/2, where `quantities` were estimated with this covariance.
+/// Degrees of freedom lost by a, b and y = a + b/2, where `covariance` is the error covariance of `quantities`.
 fn lost(quantities: &[Estimated], covariance: &DMatrix<f64>, sigma: &DMatrix<f64>) -> Vec<usize> {
     let builder = Model::builder("two").state(constant("a")).state(constant("b"));
     let measured = measurement("y", name("a") + name("u") * name("b"), 1.0);
@@ -232,8 +232,8 @@ fn lost(quantities: &[Estimated], covariance: &DMatrix<f64>, sigma: &DMatrix<f64
     found[0][0].steps[0].values.iter().map(|value| value.estimation.expect("all is known").lost).collect()
 }
 
-/// Two variances that are one estimate lose two degrees of freedom each; a slope that is identical in all tests costs
-/// one where its error counts.
+/// Two variances with perfectly correlated estimates lose two degrees of freedom each; a slope that is identical in all
+/// tests costs one degree of freedom where the error of the slope is noticeable.
 #[test]
 fn degrees_of_freedom_are_lost_to_all_means_beside_one_variance() {
     let (mean, variance) = (Estimated::Mean, |i| Estimated::Covariance(i, i));

@@ -17,13 +17,13 @@ use kalfit_model::Test;
 use kalfit_model::{Alpha, PhasedModel};
 use kalfit_model::{Evidence, PhasedTest};
 
-/// The model at one α.
+/// Filters of all phases of the model at one α.
 #[derive(Debug)]
 pub(super) struct Propagator {
     reducer: PhasedReducer,
 }
 
-/// State that enters a phase: σ = mean + sensitivity (ξ, γ) + noise.
+/// Entering coordinates σ of a phase, of length q: the mean at the given (ξ, γ), with derivatives and covariance.
 struct EnteringState {
     mean: DVector<f64>,
     /// Derivatives of σ with respect to (ξ, γ): q × (Σ p_i + regressions of all phases).
@@ -32,13 +32,13 @@ struct EnteringState {
     covariance: DMatrix<f64>,
 }
 
-/// All values along a design.
+/// All values at all steps of a design, phase by phase.
 #[derive(Debug)]
 pub(super) struct Trajectory {
     phases: Vec<PhaseTrajectory>,
 }
 
-/// (Rows of a step among those of the phase, time of the step, values of the step).
+/// (Rows of a step among the rows of the phase, time of the step, values of the step).
 type StepValues = (Range<usize>, Option<f64>, Vec<PredictedValue>);
 
 #[derive(Debug)]
@@ -129,7 +129,7 @@ impl Propagator {
     }
 }
 
-/// Copies the rows and adds a last column of `value`, from which outputs are read.
+/// A copy of the rows with an additional last column, from which outputs are read; every row of the column is `value`.
 fn with_output_column(rows: &Test, value: f64) -> Test {
     let (numbers, texts) = rows.widths();
     let mut test = Test::new(rows.id.clone(), numbers + 1, texts);
@@ -144,7 +144,7 @@ fn with_output_column(rows: &Test, value: f64) -> Test {
 }
 
 impl EnteringState {
-    /// Adds T x_K + t, which comes from the phase before.
+    /// Adds T x_K + t, the part of σ that depends on the last state x_K of the phase before.
     fn add(&mut self, last: &EnteringState, terminal: &Terminal, inherited: &kalfit_model::Inherited) {
         let T = &inherited.transition;
         let along = T * &terminal.sensitivity;
@@ -157,7 +157,7 @@ impl EnteringState {
 /// Moments of the states at a step.
 struct StepState {
     mean: DVector<f64>,
-    /// Derivatives with respect to (ξ, γ): n × their number.
+    /// Derivatives of the states with respect to (ξ, γ): n × (length of ξ + length of γ).
     sensitivity: DMatrix<f64>,
     /// Covariance by process noise, n × n.
     covariance: DMatrix<f64>,
@@ -219,7 +219,7 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Predictions of all values. `sides`: the trajectories at each α that was moved to one side or the other.
+    /// Predictions of all values. `sides`: the trajectory at each α of `ValueSteps::moved`.
     pub(super) fn predictions(
         &self,
         sides: &[Trajectory],
@@ -231,7 +231,7 @@ impl Trajectory {
                 sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
             let estimation = known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &moved));
             let population = value.population(&initial.covariance);
-            let left = initial.left.as_ref().filter(|_| estimation.is_none()); // otherwise it is part of `estimation`
+            let left = initial.left.as_ref().filter(|_| estimation.is_none()); // `estimation` includes the variance by `left`
             Predicted {
                 what: value.what,
                 row: value.row,

@@ -1,4 +1,4 @@
-//! One value along a design: its mean, its sensitivity, and its variance by process noise.
+//! One value at a step of a design: the mean, the sensitivity to ξ and γ, and the variance by process noise.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,7 +12,7 @@ pub(super) struct PredictedValue {
     pub(super) mean: f64,
     /// Derivatives of the mean with respect to ξ and the regression coefficients γ.
     pub(super) sensitivity: DVector<f64>,
-    /// Variance by process noise.
+    /// Variance of the value by process noise.
     pub(super) process: f64,
 }
 

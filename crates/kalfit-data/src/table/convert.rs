@@ -10,9 +10,7 @@ use arrow_array::types::{
     TimestampMicrosecondType, TimestampMillisecondType, TimestampNanosecondType, TimestampSecondType, UInt8Type,
     UInt16Type, UInt32Type, UInt64Type,
 };
-use arrow_array::{
-    Array, ArrayRef, Float32Array, Float64Array, Int64Array, PrimitiveArray, StringArray, UInt64Array,
-};
+use arrow_array::{Array, ArrayRef, Float32Array, Float64Array, Int64Array, PrimitiveArray, StringArray, UInt64Array};
 use arrow_schema::{ArrowError, DataType, TimeUnit};
 
 /// A column of type `F` as one of type `T`; nulls stay null.
@@ -47,7 +45,9 @@ pub(super) fn to_f64(array: &dyn Array) -> Result<Float64Array, ArrowError> {
         DataType::UInt16 => converted::<UInt16Type, _>(array, f64::from),
         DataType::UInt32 => converted::<UInt32Type, _>(array, f64::from),
         DataType::UInt64 => converted::<UInt64Type, _>(array, |value| value as f64),
-        DataType::Boolean => array.as_boolean().iter().map(|value| value.map(|value| f64::from(u8::from(value)))).collect(),
+        DataType::Boolean => {
+            array.as_boolean().iter().map(|value| value.map(|value| f64::from(u8::from(value)))).collect()
+        }
         DataType::Decimal32(_, scale) => {
             let unit = ten_to(*scale);
             converted::<Decimal32Type, _>(array, move |value| f64::from(value) / unit)

@@ -8,21 +8,22 @@
 //! [R̃_i d̃_i] = triangle from QR of [R_i d_i] above U⁻ᵀ[R̃_{i+1}G  d̃_{i+1} - R̃_{i+1}Eμ]
 //! ```
 //!
-//! log|U| and the residual of the QR are what this step takes off ℓ. The forward pass has the root B_i and the mean
-//! m_i⁻ of the prior of σ_i given the phases before it, and C_i, a root of (P⁻⁻¹ + J_i)⁻¹ = B_i(I + B_i'J_iB_i)⁻¹B_i':
+//! This step lowers ℓ of a test by log|U| and half the squared residual of the QR. The forward pass has the root B_i
+//! and the mean m_i⁻ of the prior of σ_i given the phases before phase i, and C_i, a root of (P⁻⁻¹ + J_i)⁻¹ = B_i(I +
+//! B_i'J_iB_i)⁻¹B_i':
 //!
 //! ```text
 //! [U u] = triangle from QR of [I 0] above [R_iB_i  d_i - R_i m_i⁻]      C_i = B_iU⁻¹
 //! m_i = m_i⁻ + C_iu      m_{i+1}⁻ = Eμ + G m_i      B_{i+1} = [EF | G C_i | C]
 //! ```
 //!
-//! u is U⁻ᵀB_i'R_i'(d_i - R_i m_i⁻), but computed as this product it would lose digits with the square of R_i: all of
-//! them where a measurement is very exact.
+//! u equals U⁻ᵀB_i'R_i'(d_i - R_i m_i⁻), but this product would lose digits with the square of R_i: all digits where a
+//! measurement is very exact.
 //!
-//! R̃_i, d̃_i are the information of this phase and all later ones on σ_i, and B_i, m_i⁻ that of the earlier ones, so
-//! with S = I + R̃BB'R̃' the formulas of one phase hold: r_i = R̃'S⁻¹(d̃ - R̃m⁻) and N_i = R̃'S⁻¹R̃. The blocks of W
-//! are W_ii = E'N_iE and W_ki = E'N_k F_{k-1}…F_i E, F_i = G_i(I - C_iC_i'J_i). No inverse of P⁻, Σ or J occurs; the
-//! cost is linear in the number of phases, except for the blocks of W between phases.
+//! R̃_i, d̃_i are the information of phase i and all later phases on σ_i, and B_i, m_i⁻ the prior of σ_i given the
+//! earlier phases, so with S = I + R̃BB'R̃' the formulas of one phase hold: r_i = R̃'S⁻¹(d̃ - R̃m⁻) and N_i = R̃'S⁻¹R̃.
+//! The blocks of W are W_ii = E'N_iE and W_ki = E'N_k F_{k-1}…F_i E, F_i = G_i(I - C_iC_i'J_i). No inverse of P⁻, Σ or
+//! J occurs; the cost is linear in the number of phases, except for the blocks of W between phases.
 #![expect(non_snake_case, reason = "B, C, R, F, N are the letters of the theory")]
 
 use std::borrow::Cow;
@@ -35,12 +36,12 @@ use kalfit_algebra::factors::Factors;
 use kalfit_algebra::rows::Rows;
 use kalfit_lanes::Real;
 
-/// F with Σ = FF' of all phases, lower triangular, its diagonal not negative.
+/// F with Σ = FF' of all phases: lower triangular, by columns.
 #[derive(Debug, Clone)]
 pub(crate) struct Root<'a>(Cow<'a, DMatrix<f64>>);
 
 impl<'a> Root<'a> {
-    /// The lower triangular root with the same FF' as any root F.
+    /// The lower triangular L with LL' = FF', for any root F.
     pub(crate) fn of(root: &'a DMatrix<f64>) -> Self {
         let p = root.nrows();
         if (0..p).all(|i| root[(i, i)] >= 0.0 && (i + 1..p).all(|c| root[(i, c)] == 0.0)) {
@@ -68,25 +69,25 @@ pub enum ChainDetail {
     Phases,
     /// r, and all blocks of W.
     Between,
-    /// r, the blocks of W within phases, and what posteriors need.
+    /// r, the blocks of W within phases, Var[ξ_i | z] of each phase, and |S| of the links.
     Posterior,
 }
 
 /// Likelihood terms of a class at a point. Matrices are by rows.
 #[derive(Debug, Clone)]
 pub(crate) struct ChainTerms<T = f64> {
-    /// Sum over the tests of their quadratic forms.
+    /// Sum of the quadratic forms over the tests of the class.
     pub(crate) quadratic: T,
     /// Root of |I + RΣR'| of one test, as (mantissa, exponent): |I + RΣR'| = (mantissa × 2^exponent)².
     pub(crate) root_det: (T, T),
-    /// r of each phase, p × columns: of the mean, then of the columns of the scatter.
+    /// r of each phase, p × columns: one column for the mean of the data, then one for each column of the scatter.
     pub(crate) r: Vec<Rows<T>>,
-    /// W_ki for k ≥ i, at k(k+1)/2 + i, p_k × p_i; blocks between phases are `None` unless requested.
+    /// W_ki for k ≥ i, at index k(k+1)/2 + i, p_k × p_i; blocks between phases are `None` unless requested.
     pub(crate) W: Vec<Option<Rows<T>>>,
     /// Var[ξ_i | z] of each phase, p_i × p_i; empty unless requested.
     pub(crate) covariances: Vec<Rows<T>>,
-    /// Root of |S| of the links alone, as `root_det`, for what the noise between the phases takes off ℓ at Σ = 0; one
-    /// unless posteriors are requested.
+    /// Root of |S| at Σ = 0, as (mantissa, exponent) like `root_det`: at Σ = 0 the noise between the phases lowers ℓ by
+    /// the logarithm of this root; 1 unless posteriors are requested.
     pub(crate) link_root_det: (T, T),
 }
 
@@ -96,7 +97,7 @@ pub(super) struct ChainPhases<'a, A: Algebra> {
     pub(super) count: A::Number,
 }
 
-/// Information of a phase and all later ones on the phase's σ.
+/// Information of a phase and all later phases on σ of the phase.
 struct PhaseInformation<A: Algebra> {
     /// R̃, q × q.
     factor: A::Matrix,
@@ -154,7 +155,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
         is_accurate.then_some(ChainTerms { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
     }
 
-    /// Root of |S| of the links alone: from the backward pass at Σ = 0.
+    /// Root of |S| at Σ = 0, where S = I + R̃CC'R̃' has only the noise of the links.
     #[inline(always)]
     fn link_root_det(&self, is_accurate: &mut bool) -> RootDet<A::Number> {
         let states = self.phases.iter().map(|phase| phase.own.end).max().unwrap_or(0);
@@ -231,20 +232,20 @@ fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
 }
 
 impl<T: Real> Prior<'_, T> {
-    /// (EF)' of a phase: the root of Σ of its new states.
+    /// (EF)' of a phase: the rows of F for the states that are new in the phase, transposed.
     #[inline(always)]
     fn root<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
         A::phase_root(&self.root.0, &phase.own, &phase.factor)
     }
 
-    /// Eμ of a phase for the mean of the tests, zero for the columns of the scatter.
+    /// Eμ of a phase in the column for the mean of the data, zero in the columns of the scatter.
     #[inline(always)]
     fn mean<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Data {
         A::mean_of(self.mean, &phase.own, &phase.data)
     }
 }
 
-/// The posterior of σ_i given this phase and the earlier ones.
+/// The posterior of σ_i given phase i and the earlier phases.
 struct PhaseUpdate<A: Algebra> {
     /// C', with C a root of the posterior covariance.
     root: A::Matrix,
@@ -272,8 +273,8 @@ impl<A: Algebra> PhaseUpdate<A> {
     }
 }
 
-/// Var[ξ_i | z] = F(I + F'N°F)⁻¹F', with N° the information on ξ_i from everything but its prior. `rest` is a root, by
-/// rows, of the prior of σ_i without the part of ξ_i.
+/// Var[ξ_i | z] = F(I + F'N°F)⁻¹F', with N° the information of all measurements on ξ_i. `rest`: (GC)' of the phase
+/// before and C' of the link, the rows of a root of the prior covariance of σ_i without the part of ξ_i.
 #[inline(always)]
 fn posterior_covariance<A: Algebra>(
     prior: &Prior<'_, A::Number>,
@@ -296,7 +297,7 @@ fn posterior_covariance<A: Algebra>(
     A::leading_block(&A::transpose_times(&half, &half), p, p)
 }
 
-/// Upper triangular R with R'R = rows'rows, square.
+/// Upper triangular R, q × q, with R'R = rows'rows.
 #[inline(always)]
 pub(super) fn compressed<F: Factors>(rows: Rows<F::Number>) -> Rows<F::Number> {
     let q = rows.ncols();

@@ -1,8 +1,8 @@
 //! Classes of tests in phases that share all matrices, and their likelihood terms at a point, phase by phase (theory
 //! §7).
 //!
-//! Data of a class: everything is linear in d, so n tests are represented by the mean of their d, and by columns whose
-//! outer products add up to the scatter about it, at most as many columns as numbers in d.
+//! Data of a class: r is linear in d, so n tests are represented by the mean of d over the tests, and by columns whose
+//! outer products add up to the scatter about this mean: at most as many columns as numbers in d.
 
 mod kernel;
 mod packed;
@@ -44,7 +44,7 @@ pub struct ChainedClass<T = f64> {
 }
 
 impl ChainedClass {
-    /// n J of a phase by itself, in the coordinates that enter it.
+    /// n J of one phase without the other phases, on σ of the phase, q × q.
     pub fn own_information(&self, phase: usize) -> DMatrix<f64> {
         let factor = &self.phases[phase].factor;
         let gram = factor.transpose_times(factor);
@@ -71,8 +71,8 @@ impl ChainedClass {
         information
     }
 
-    /// Likelihood terms of the class at a point: `mean` is μ of its tests, `root` is F with Σ = FF', both of all
-    /// phases.
+    /// Likelihood terms of the class at a point: `mean` is μ of the tests of the class, `root` is F with Σ = FF', both
+    /// over the states of all phases.
     pub(crate) fn at(&self, mean: &[f64], root: &Root<'_>, detail: ChainDetail) -> ChainTerms {
         let prior = Prior { root, mean };
         let plain =
@@ -80,7 +80,7 @@ impl ChainedClass {
         plain.unwrap_or_else(|| self.through::<Rotations<f64>>().evaluated(&prior, detail).expect(ROTATIONS_SUCCEED))
     }
 
-    /// A class with the same matrices and no tests, whose terms are zero.
+    /// A class with the matrices of this class, but no tests: n = 0 and d = 0.
     fn without_tests(&self) -> ChainedClass {
         let mut none = self.clone();
         none.count = 0.0;
@@ -90,7 +90,7 @@ impl ChainedClass {
         none
     }
 
-    /// Range of the states of each phase among those of all phases.
+    /// For each phase the range of the new states, as indices into the states of all phases.
     pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
         self.phases.iter().map(|phase| &phase.own)
     }
@@ -103,17 +103,18 @@ impl<T: Real> ChainedClass<T> {
     }
 }
 
-/// Why square-root arithmetic always gives a result.
+/// Message for the case, which never occurs, that square-root arithmetic gives no result.
 const ROTATIONS_SUCCEED: &str = "rotations bear any size";
 
-/// Unit of each of the q coordinates of a phase's σ: that of the frame for the phase's new states, else one.
+/// Sets `scale` to the units of the q coordinates of σ of a phase: units of the frame for the states that are new in
+/// the phase, 1 for all other coordinates.
 fn scales(q: usize, own: &Range<usize>, frame: &Frame, scale: &mut Vec<f64>) {
     scale.clear();
     scale.extend_from_slice(&frame.scale[own.clone()]);
     scale.resize(q, 1.0);
 }
 
-/// σ of a phase at the centre of the frame without noise; `before` is σ of the phase before.
+/// Sets `sigma` to σ of a phase at the centre of the frame without noise; `before` is σ of the phase before.
 fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64], sigma: &mut Vec<f64>) {
     sigma.clear();
     sigma.extend_from_slice(&frame.centre[own.clone()]);
@@ -125,7 +126,7 @@ fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64],
     }
 }
 
-/// Product R_i σ of row i of a phase's R.
+/// Product of row i of a phase's R with σ.
 fn factor_row_times(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
     (i..sigma.len()).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum()
 }
@@ -141,8 +142,8 @@ fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<f64> {
     all
 }
 
-/// The mean of the data of several tests, then columns whose outer products add up to the scatter about it: one for
-/// each test, or one for each number in d if that is fewer.
+/// The mean of the data of several tests, then columns whose outer products add up to the scatter about this mean: one
+/// for each test, or one for each number in d if d has fewer numbers than there are tests.
 fn columns(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Rows {
     let all: Vec<Vec<f64>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
     let (n, size) = (all.len(), all[0].len());

@@ -22,14 +22,14 @@ pub struct Packed {
     pub(crate) members: Vec<usize>,
     shape: Arc<ChainShape>,
     lanes: usize,
-    /// Numbers of the classes, entry by entry, each entry once per lane: n, then for each phase the upper triangle of R
-    /// by rows, d, G and C'.
+    /// Values of the classes, entry by entry, each entry with one value for every lane: n, then for each phase the
+    /// upper triangle of R by rows, d, G and C'.
     numbers: Vec<f64>,
 }
 
 impl Packed {
-    /// Packs classes, given by their numbers, at least one and at most one for each lane; `of` returns a class by its
-    /// number.
+    /// Packs the classes with the indices `members`: at least one, and at most one for each lane; `of` returns the
+    /// class with a given index.
     pub(crate) fn new<'a>(
         shape: Arc<ChainShape>,
         members: Vec<usize>,
@@ -43,7 +43,8 @@ impl Packed {
         })
     }
 
-    /// Packs classes as the estimator gathers them; `of` returns the chains of the tests of a class.
+    /// Packs the classes with the indices `members`; `of` returns the chains of the tests of the class with a given
+    /// index.
     pub(crate) fn of_tests<'a>(
         shape: Arc<ChainShape>,
         members: Vec<usize>,
@@ -54,7 +55,7 @@ impl Packed {
         Packed::filled(shape, members, lanes, |member, to| put_tests(&of(member), (ranges, frame), to, lanes))
     }
 
-    /// Lets `put` write each class to every `lanes`-th number of a slice, which starts at the lane of the class.
+    /// Packs classes: `put` writes a class to every `lanes`-th number of a slice that starts at the lane of the class.
     fn filled(shape: Arc<ChainShape>, members: Vec<usize>, lanes: usize, put: impl Fn(usize, &mut [f64])) -> Packed {
         let mut numbers = vec![0.0; shape.size() * lanes];
         for (lane, &member) in members.iter().enumerate() {
@@ -76,7 +77,7 @@ impl Packed {
         }
     }
 
-    /// Numbers of the classes, lane by lane.
+    /// Indices of the classes, lane by lane.
     pub(crate) fn members(&self) -> &[usize] {
         &self.members
     }
@@ -98,8 +99,8 @@ impl Packed {
         ChainedClass { phases, shape: self.shape.clone(), count: self.numbers[lane], needs_rotations: false }
     }
 
-    /// [`ChainedClass::at`] of all classes; `None` where one of them needs square-root arithmetic. Classes of one test
-    /// with few states use matrices whose sizes are known at compile time.
+    /// [`ChainedClass::at`] of all classes; `None` where a class needs square-root arithmetic. Classes of one test with
+    /// few states use matrices whose sizes are known at compile time.
     #[inline(always)]
     pub(crate) fn evaluated<T: Lanes>(
         &self,
@@ -130,7 +131,7 @@ impl Packed {
         A::Number::apart(PackedEvaluation::<A> { packed: self, prior, detail })
     }
 
-    /// The matrices and data of all phases; `number` reads an entry of `lanes` numbers.
+    /// The matrices and data of all phases; `number` converts an entry, a slice of `lanes` numbers.
     #[inline(always)]
     fn phases<A: Algebra>(
         &self,
@@ -167,8 +168,8 @@ impl Packed {
 }
 
 impl ChainedClass {
-    /// A class of tests with equal matrices, at least one, in a frame; `ranges` has the states of each phase of the
-    /// model.
+    /// A class of at least one test, all with equal matrices, in a frame; `ranges`: range of the states of each phase
+    /// of the model.
     pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> ChainedClass {
         let shape = Arc::new(ChainShape::of(chains, ranges));
         let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
@@ -201,7 +202,8 @@ fn put(chained: &ChainedClass, to: &mut [f64], every: usize) {
     }
 }
 
-/// As `put`, from the chains of the class's tests, which have equal matrices.
+/// Writes the numbers of a class to every `every`-th position of `to`, from the chains of the class's tests, which have
+/// equal matrices.
 fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
     let mut at = 0;
     let mut write = |x: f64| {

@@ -5,11 +5,11 @@ use std::ops::Range;
 /// One phase, generic in the types of its matrices and data.
 #[derive(Debug, Clone)]
 pub(super) struct PhaseView<M, D> {
-    /// Range of the phase's states among those of all phases.
+    /// Range of the states that are new in the phase, as indices into the states of all phases.
     pub(super) own: Range<usize>,
     /// R, q × q, upper triangular.
     pub(super) factor: M,
-    /// d of all columns, q × columns.
+    /// d, q × columns: the mean over the tests, then the columns of the scatter.
     pub(super) data: D,
     pub(super) link: Option<LinkView<M>>,
 }

@@ -16,22 +16,23 @@ pub(crate) struct ChainShape {
 /// Sizes of the matrices of one phase.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct PhaseShape {
-    /// Range of the phase's states among those of all phases.
+    /// Range of the states that are new in the phase, as indices into the states of all phases.
     pub(super) own: Range<usize>,
     /// q, number of coordinates that enter the phase.
     pub(super) size: usize,
-    /// Number of rows of C' of the link that leads to this phase.
+    /// Number of rows of C' of the link that leads to this phase; `None` for the first phase.
     pub(super) noise: Option<usize>,
 }
 
 impl ChainShape {
-    /// Shape of tests that can be packed in lanes with others; `None` without tests, or where some phase needs
+    /// Shape of a class of tests, to pack the class in a lane; `None` without tests, or where some phase needs
     /// rotations.
     pub(crate) fn for_lanes(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<ChainShape> {
         (!chains.is_empty() && !is_by_rotations(chains)).then(|| ChainShape::of(chains, ranges))
     }
 
-    /// Shape of tests with equal matrices, at least one; `ranges` has the states of each phase of the model.
+    /// Shape of a class of at least one test, all with equal matrices; `ranges`: range of the states of each phase of
+    /// the model.
     pub(super) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> ChainShape {
         let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
             own: own.clone(),
@@ -60,7 +61,7 @@ impl ChainShape {
         self.phases.iter().map(|phase| phase.size.max(phase.noise.unwrap_or(0))).max().unwrap_or(0)
     }
 
-    /// Range of the states of each phase among those of all phases.
+    /// For each phase the range of the new states, as indices into the states of all phases.
     pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
         self.phases.iter().map(|phase| &phase.own)
     }
@@ -71,7 +72,8 @@ pub(super) fn is_by_rotations(chains: &[&Chain]) -> bool {
     chains.iter().flat_map(|chain| &chain.phases).any(|phase| phase.path == Path::SquareRoot)
 }
 
-/// Number of data columns of a class of `tests` tests with `data` numbers each: their mean, and the scatter about it.
+/// Number of data columns of a class of `tests` tests with `data` numbers each: one column for the mean, the others for
+/// the scatter about the mean.
 pub(super) fn columns(tests: usize, data: usize) -> usize {
     if tests == 1 { 1 } else { 1 + tests.min(data) }
 }

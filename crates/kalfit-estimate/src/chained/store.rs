@@ -32,7 +32,7 @@ impl ChainStore {
         }
     }
 
-    /// Shape of the class; `None` where it needs square-root arithmetic, and so cannot be packed.
+    /// Shape of the class; `None` where the class needs square-root arithmetic, and so cannot be packed.
     pub(crate) fn shape(&self) -> Option<Cow<'_, ChainShape>> {
         (!self.is_by_rotations()).then(|| Cow::Borrowed(self.sizes()))
     }
@@ -47,14 +47,14 @@ impl ChainStore {
         self.sizes().phases.iter().map(|phase| phase.size).collect()
     }
 
-    /// Range of the states of each phase among those of all phases.
+    /// For each phase the range of the new states, as indices into the states of all phases.
     pub(crate) fn ranges(&self) -> Vec<Range<usize>> {
         self.sizes().ranges().cloned().collect()
     }
 }
 
-/// Groups the numbers of classes by shape, in their order, with at most `lanes` in a group; classes without a shape are
-/// omitted.
+/// Groups the indices of classes by shape, in the order of `shapes`, at most `lanes` indices in a group; classes
+/// without a shape are omitted.
 pub(crate) fn grouped<'a>(
     shapes: impl Iterator<Item = (usize, Option<Cow<'a, ChainShape>>)>,
     lanes: usize,

@@ -12,9 +12,10 @@ use crate::order::Order;
 use crate::order::SumsWanted;
 use kalfit_algebra::symmetric::{pair, pairs};
 
-/// Likelihood terms of one class, or of one class in each lane. States are counted within their phase.
+/// Likelihood terms of one class, or of one class in each lane. Index a of a state counts within the phase of the
+/// state.
 pub(crate) trait Contribution<T> {
-    /// Number of phases of the class's tests, which are the first phases of the model.
+    /// Number K of phases of the class's tests: the first K phases of the model.
     fn phases(&self) -> usize;
 
     /// n of each class; `None` where every class is a single test.
@@ -29,7 +30,7 @@ pub(crate) trait Contribution<T> {
     /// r of the mean of the class's data, for state a of phase k.
     fn r(&self, k: usize, a: usize) -> T;
 
-    /// Row of W for state a of phase k, over the states of phase i ≤ k; within a phase at least up to state a.
+    /// Row of W for state a of phase k, over the states of phase i ≤ k; for i = k at least up to state a.
     fn weight(&self, at: (usize, usize), i: usize) -> &[T];
 
     /// Writes the row of Σ r r' over the class's tests for state a of phase k, over as many first states of phase i as
@@ -37,24 +38,24 @@ pub(crate) trait Contribution<T> {
     fn outer(&self, at: (usize, usize), i: usize, to: &mut [T]);
 }
 
-/// Sums over tests. The pair of phases k ≥ i has index k(k+1)/2 + i. Matrices are by rows, those of a phase with itself
-/// as lower triangles.
+/// Sums over tests. The pair of phases k ≥ i has index k(k+1)/2 + i. Matrices are by rows; for k = i only the lower
+/// triangle.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ClassSums {
     /// ℓ without the constants.
     pub(crate) value: f64,
     /// Sum of the quadratic forms, Σ u'D⁻¹u.
     pub(crate) quadratic: f64,
-    /// Σ E'r (M).
+    /// Σ E'r, M numbers.
     pub(crate) score: Vec<f64>,
-    /// Σ W by pairs of phases; zero between phases where these are not requested.
+    /// Σ W by pairs of phases; zero for k > i unless the blocks between phases are requested.
     pub(crate) weight: Vec<Vec<f64>>,
-    /// Rows of Σ E'WE that belong to the coefficients.
+    /// Rows of Σ E'WE for the regression coefficients, coefficients × M.
     pub(crate) regression: Vec<f64>,
     /// Σ r r' of each phase.
     pub(crate) outer: Vec<Vec<f64>>,
-    /// Σ W ⊗ (r r' - ½W), or Σ W ⊗ (r r' - ½W + WXVX'W) where V is known, by pairs of phases: elements of the pair ×
-    /// elements of the pair; empty unless requested.
+    /// Σ W ⊗ (r r' - ½W), or Σ W ⊗ (r r' - ½W + WXVX'W) where V is known: for each pair of phases a square matrix over
+    /// the entries of the pair's block of W; empty unless requested.
     pub(crate) curvature: Vec<Vec<f64>>,
     /// Σ WE ⊗ r of each phase, pM × p; empty unless requested.
     pub(crate) cross: Vec<Vec<f64>>,
@@ -131,7 +132,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         }
     }
 
-    /// Adds the terms of a class with these covariates.
+    /// Adds the terms of a class; `covariates`: covariates of the class.
     #[inline(always)]
     pub(crate) fn add(&mut self, evaluated: &impl Contribution<T>, covariates: &[T]) {
         let count = evaluated.count().unwrap_or(T::splat(1.0));
@@ -240,7 +241,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         true
     }
 
-    /// Adds n W, Σ r r' with the part of the scatter, and their products, for phases k ≥ i.
+    /// Adds the terms of phases k ≥ i: n W, Σ r r' with the scatter, and, if requested, W ⊗ (r r' - ½W) and W ⊗ W.
     #[inline(always)]
     fn add_pair(&mut self, (k, i): (usize, usize), count: T, evaluated: &impl Contribution<T>, has_covariance: bool) {
         let (number, q, blocks) = (pair(k, i), self.free, self.wanted.elements.blocks());
@@ -320,7 +321,7 @@ fn summed<T: Lanes>(numbers: &[T]) -> Vec<f64> {
     numbers.iter().map(|x| x.sum()).collect()
 }
 
-/// Writes scale × numbers.
+/// to ← scale × numbers.
 #[inline(always)]
 fn scaled<T: Lanes>(scale: T, numbers: &[T], to: &mut [T]) {
     for (to, x) in to.iter_mut().zip(numbers) {
@@ -328,7 +329,7 @@ fn scaled<T: Lanes>(scale: T, numbers: &[T], to: &mut [T]) {
     }
 }
 
-/// A × B, by rows; A has `width` columns.
+/// to ← AB, by rows; A has `width` columns.
 #[inline(always)]
 fn times<T: Lanes>(A: &[T], width: usize, B: &DMatrix<f64>, to: &mut [T]) {
     for (to, from) in to.chunks_exact_mut(B.ncols()).zip(A.chunks_exact(width)) {

@@ -1,13 +1,13 @@
 //! Likelihood terms, at a point, of a block of classes in lanes or of one class by itself, for any number of states:
-//! the formulas of [`super::dense`], row by row. One elimination takes S to D⁻¹-free triangular form, and R and d with
-//! it:
+//! the formulas of [`super::dense`], row by row. One elimination makes S upper triangular and transforms R and d - Rμ
+//! along with S:
 //!
 //! ```text
 //! [S R d-Rμ] → [DL' U u]      U = L⁻¹R, u = L⁻¹(d-Rμ)      [W r; r' u'D⁻¹u] = [U u]'D⁻¹[U u]
 //! ```
 //!
-//! For classes of several tests u has further columns, one for each vector of their scatter. Rows C that are measured
-//! exactly come before those of R, and have no noise in S (theory §13): S = diag(0, I) + [C; R]Σ[C; R]'.
+//! For classes of several tests u has further columns, one for each vector of the scatter. Rows C that are measured
+//! exactly come before the rows of R, and have no noise in S (theory §13): S = diag(0, I) + [C; R]Σ[C; R]'.
 #![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
 
 use kalfit_lanes::Lanes;
@@ -17,7 +17,8 @@ use crate::lanes::rows::add_weighed;
 use crate::point::{Point, Regressors};
 use kalfit_algebra::fold::fold;
 
-/// Workspace for one block, which holds its terms at the end. Matrices are by rows.
+/// Workspace for one block; after an evaluation, the workspace holds the likelihood terms of the block. Matrices are by
+/// rows.
 #[derive(Debug)]
 pub(super) struct ClassWorkspace<T> {
     p: usize,
@@ -41,7 +42,7 @@ pub(super) struct ClassWorkspace<T> {
 }
 
 impl<T: Lanes> ClassWorkspace<T> {
-    /// A workspace for a point, given by μ and F, lower triangular, with this number of columns of u.
+    /// A workspace for a point, given by μ and F, lower triangular, with `columns` columns of u.
     pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize) -> ClassWorkspace<T> {
         let p = mean.len();
         let zeros = |size: usize| vec![T::splat(0.0); size];
@@ -59,7 +60,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// Resizes the workspace for these numbers of rows of C and columns of u.
+    /// Resizes the workspace for `exact` rows of C and `columns` columns of u.
     pub(super) fn resize(&mut self, exact: usize, columns: usize) {
         (self.exact, self.columns) = (exact, columns);
         let (height, width, zero) = (self.height(), self.width(), T::splat(0.0));
@@ -70,7 +71,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         self.W.resize(width * width, zero);
     }
 
-    /// Sets the mean to μ moved by the regressions.
+    /// Sets the mean to μ plus the effects of the regressions.
     #[inline(always)]
     pub(super) fn move_mean(&mut self, covariates: &[T], point: &Point, regressors: &Regressors) {
         for &element in regressors {
@@ -167,8 +168,8 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// Eliminates [S R d-Rμ] → [DL' U u]; returns |S|. With `root`, upper triangular by rows with S = root' root, S
-    /// itself is not read.
+    /// Eliminates [S R d-Rμ] → [DL' U u]; returns |S| as mantissa × 2^exponent. With `root`, upper triangular by rows
+    /// with S = root' root, S itself is not read.
     #[inline(always)]
     fn eliminate(&mut self, root: Option<&[T]>) -> (T, T) {
         let (exact, height) = (self.exact, self.height());
@@ -186,7 +187,7 @@ impl<T: Lanes> ClassWorkspace<T> {
                     *s = known[0] * *x;
                 }
             }
-            // S ⪰ diag(0, I), so no pivot of R is below one, and rounding must not make it so. A pivot of C is zero
+            // S ⪰ diag(0, I), so no pivot of a row of R is below 1 but for rounding. A pivot of a row of C is zero
             // where Σ is zero along C: the likelihood is then zero
             let pivot = row[0].maximum(T::splat(if i < exact { f64::MIN_POSITIVE } else { 1.0 }));
             self.inverse[i] = pivot.recip();
@@ -235,7 +236,7 @@ impl<T: Lanes> ClassWorkspace<T> {
 }
 
 impl ClassWorkspace<f64> {
-    /// As [`Self::evaluate`], without forming S: the rows of (RF)' are folded into I by QR.
+    /// Evaluates a block as [`Self::evaluate`] does, but without forming S: QR folds the rows of (RF)' into diag(0, I).
     pub(super) fn evaluate_by_qr(&mut self, block: &[f64], unit: f64) -> (f64, f64) {
         self.load(block, unit);
         self.multiply_root(block);

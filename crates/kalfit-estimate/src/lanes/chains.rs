@@ -11,7 +11,7 @@ use crate::order::SumsWanted;
 use crate::point::Point;
 use kalfit_algebra::symmetric::pair;
 
-/// One pass over some blocks.
+/// A pass, at a point, over blocks of classes in phases.
 pub(crate) struct ChainKernel<'a> {
     pub(crate) blocks: &'a [Arc<Packed>],
     pub(crate) classes: &'a Listed,
@@ -19,12 +19,12 @@ pub(crate) struct ChainKernel<'a> {
     pub(crate) wanted: SumsWanted<'a>,
 }
 
-/// Results of a pass.
+/// Sums over the classes of a pass.
 pub(crate) struct ChainSums {
     pub(crate) totals: ClassSums,
     /// Sum of the constants of the classes.
     pub(crate) constant: f64,
-    /// Classes that need square-root arithmetic, and are not in the sums.
+    /// Indices of the classes that need square-root arithmetic and are therefore not in the sums.
     pub(crate) needs_rotations: Vec<usize>,
 }
 

@@ -104,7 +104,7 @@ fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P], det: &mut (T, T)) ->
     let one = T::splat(1.0);
     let mut inverse = [one; P];
     for k in 0..P {
-        // S ⪰ I, so no pivot is below one, and rounding must not make it so
+        // S ⪰ I, so no pivot is below 1 but for rounding
         let pivot = S[k][k].maximum(one);
         inverse[k] = pivot.recip();
         let (mantissa, exponent) = (det.0 * pivot).split();

@@ -5,16 +5,16 @@ use rayon::prelude::*;
 
 use kalfit_algebra::parts::{ColumnWork, by_column_blocks};
 
-/// Number of blocks whose products are added in one go: each sum is then read, written and reduced over its lanes once
-/// for all of them.
+/// Number of blocks whose products are added in one go: each sum is then read, written and reduced over the lanes once
+/// for all these blocks.
 const BUFFERED_BLOCKS: usize = 16;
 
-/// Number of sums from which on several threads share the work.
+/// Smallest number of sums for which several threads share the work.
 const PARALLEL_SUMS: usize = 1 << 20;
 /// Number of rows of sums that one thread takes at a time.
 const ROWS_PER_TASK: usize = 64;
 
-/// Σ a b', a with `rows` and b with `columns` numbers; vectors of several blocks are buffered before they are added.
+/// Σ a b', `rows` × `columns`; a and b of several blocks are buffered before the products a b' are added.
 #[derive(Debug, Clone)]
 pub(super) struct ProductSums<T> {
     rows: usize,
@@ -28,14 +28,14 @@ pub(super) struct ProductSums<T> {
 }
 
 impl<T: Lanes> ProductSums<T> {
-    /// Empty sums; if they are not `wanted`, they stay without rows and cost nothing.
+    /// Sums that are zero; unless `wanted`, sums without rows, which cost nothing.
     pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> ProductSums<T> {
         let rows = if wanted { rows } else { 0 };
         let room = |size: usize| vec![T::splat(0.0); size * if wanted { BUFFERED_BLOCKS } else { 0 }];
         ProductSums { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
     }
 
-    /// Buffers for the next a and b, both to be written completely.
+    /// Buffers for the next a and b; the caller writes every number of both.
     #[inline(always)]
     pub(super) fn next(&mut self) -> (&mut [T], &mut [T]) {
         if self.filled == BUFFERED_BLOCKS {
@@ -78,7 +78,7 @@ impl<T: Lanes> ProductSums<T> {
 
 /// Adds the buffered products to some rows of the sums.
 struct RowSums<'a, T> {
-    /// The vectors a, from the first of these rows on; blocks are `rows` numbers apart.
+    /// The vectors a, from the first row of `sum` on; a of block k starts at index k × `rows`.
     left: &'a [T],
     rows: usize,
     blocks: usize,
@@ -120,7 +120,7 @@ fn add_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> u
 
 /// M rows of the sums.
 struct Tile<'a, T, const M: usize> {
-    /// M numbers of a for each block; blocks are `rows` numbers apart.
+    /// M numbers of a for each block; the numbers of block k start at index k × `rows`.
     left: &'a [T],
     rows: usize,
     blocks: usize,

@@ -3,8 +3,8 @@
 use crate::class::{Class, ClassRef};
 use kalfit_algebra::symmetric::{pair, pairs};
 
-/// Order of the numbers in a block, each with one lane for every class: R by columns, C by rows, d and g, for classes
-/// of several tests the vectors of the scatter, the covariates, and for classes of several tests n.
+/// Order of the entries of a block, each entry with one number for every lane: R by columns, C by rows, d and g, the
+/// vectors of the scatter (only in classes of several tests), the covariates, and n (only in classes of several tests).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ClassLayout {
     pub(super) p: usize,
@@ -40,7 +40,7 @@ impl ClassLayout {
         self.count() + usize::from(self.several)
     }
 
-    /// Writes a class into a lane of a block that holds zeros there.
+    /// Writes a class into a lane, filled with zeros, of a block.
     pub(super) fn put(&self, class: ClassRef<'_>, (block, lane, lanes): (&mut [f64], usize, usize)) {
         let p = self.p;
         let triangle = (0..p).flat_map(|k| (0..=k).map(move |i| class.factor[i * p + k]));
@@ -70,7 +70,7 @@ impl ClassLayout {
         for k in 0..p {
             (0..=k).for_each(|i| class.factor[i * p + k] = number(pair(k, i)));
         }
-        // a class of fewer tests than states has fewer scatter vectors; the others hold zeros
+        // a class of n < p tests has n scatter vectors; the block holds zeros for the remaining p - n
         let vectors = if self.several { p.min(class.count as usize) } else { 0 };
         copy(&mut class.mean, pairs(p), p);
         copy(&mut class.scatter, self.scatter(), vectors * p);

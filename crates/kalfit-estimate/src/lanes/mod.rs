@@ -27,8 +27,8 @@ pub(crate) use alone::ClassEvaluator;
 pub(crate) use chains::{ChainContribution, ChainKernel, ChainSums};
 pub(crate) use whole::flops_of_a_test;
 
-/// Classes of p states that are not in phases, in blocks with one class in each lane: either all are of a single test,
-/// or all of several. Lanes without a class hold zeros, which add nothing.
+/// Classes of p states that are not in phases, in blocks with one class in each lane: either every class has a single
+/// test, or every class has several. Lanes without a class hold zeros, which add nothing.
 #[derive(Debug, Clone)]
 pub(crate) struct ClassBatches {
     isa: Isa,
@@ -48,16 +48,16 @@ const MIN_FILLED_BLOCKS: usize = 16;
 /// Fewest blocks that one task sums, for many states. The size of tasks depends on nothing but the blocks, so that sums
 /// have the same bits for any number of threads.
 const MIN_BLOCKS: usize = 16;
-/// Fewest blocks that one task sums, for one state: more, so that the task takes no less time than one for many states.
+/// Fewest blocks that one task sums, for one state: more than for many states, because each block takes less time.
 const MIN_BLOCKS_ONE_STATE: usize = 512;
-/// Most blocks that one task sums, as a multiple of the minimum.
+/// Most blocks that one task sums, as a multiple of the fewest blocks.
 const MAX_BLOCKS_FACTOR: usize = 32;
-/// Fewest tasks, where there are many blocks.
+/// Fewest tasks of a pass over many blocks.
 const MIN_TASKS: usize = 64;
 
 impl ClassBatches {
-    /// Fills blocks with `count` classes of p states with `covariates` covariates, of several tests each or of one,
-    /// none of which needs rotations; `class` writes the class with a given number into a buffer.
+    /// Fills blocks with `count` classes of p states with `covariates` covariates, all of several tests or all of one,
+    /// none of which needs rotations; `class` writes the class with a given index into a buffer.
     pub(crate) fn filled(
         (p, covariates, several): (usize, usize, bool),
         isa: Isa,
@@ -80,7 +80,7 @@ impl ClassBatches {
         ClassBatches { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant, unit: 1.0 }
     }
 
-    /// Reads the class with this number into `class`, with its constant at `unit` = 1.
+    /// Reads the class with the index `number` into `class`, with the constant at `unit` = 1.
     pub(crate) fn read(&self, number: usize, class: &mut Class) {
         let lanes = self.isa.lanes();
         let size = self.layout.size() * lanes;
@@ -88,8 +88,8 @@ impl ClassBatches {
         class.constant = self.constants[number];
     }
 
-    /// The same classes with other noise: d and the scatter are multiplied by `unit`, and `change` is added to the
-    /// constant.
+    /// The classes at another noise level: d and the scatter are multiplied by `unit`, and `change` is added to the sum
+    /// of the constants.
     pub(crate) fn at_noise(&self, unit: f64, change: f64) -> ClassBatches {
         ClassBatches { constant: self.constant + change, unit: self.unit * unit, ..self.clone() }
     }
@@ -104,7 +104,7 @@ impl ClassBatches {
         self.constant
     }
 
-    /// Sums over the classes at a point, one for each task, in their order.
+    /// Sums over the classes at a point, one item for each task, in the order of the blocks.
     pub(crate) fn totals(&self, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassSums> {
         if self.constants.is_empty() {
             return Vec::new();

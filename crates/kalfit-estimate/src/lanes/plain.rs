@@ -11,7 +11,7 @@ use crate::lanes::whole::BlockPass;
 use crate::order::Order;
 use kalfit_algebra::symmetric::pairs;
 
-/// Most states whose sums of first derivatives are few enough for the registers.
+/// Largest number of states for which the sums of first derivatives fit into the registers.
 const IN_REGISTERS: usize = 3;
 
 impl BlockPass<'_> {
@@ -106,7 +106,7 @@ impl<T: Lanes> SecondOrderSums<T> {
 }
 
 impl<T: Lanes, const P: usize> BlockTerms<T, P> {
-    /// Writes W, r r' - ½W and r.
+    /// Writes W and r r' - ½W, lower triangles by rows, and r.
     #[inline(always)]
     fn write(&self, weights: &mut [T], inner: &mut [T], r: &mut [T]) {
         let half = T::splat(0.5);

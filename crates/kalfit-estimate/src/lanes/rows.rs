@@ -23,7 +23,7 @@ fn add_four<T: Lanes>(y: &mut [T], a: [T; ROWS_AT_ONCE], x: [&[T]; ROWS_AT_ONCE]
     }
 }
 
-/// y ← y + Σ_k w_k x_kl x_k over `count` rows x_k: each is multiplied by its entry l and by w_k, if weights are given.
+/// y ← y + Σ_k w_k x_kl x_k over `count` rows x_k, with entry l of row k as x_kl, and w_k = 1 unless weights are given.
 /// Row k starts at index k × width.
 #[inline(always)]
 pub(super) fn add_weighed<T: Lanes>(

@@ -15,7 +15,7 @@ use crate::point::Point;
 use kalfit_algebra::elements::Elements;
 use kalfit_algebra::symmetric::pairs;
 
-/// One pass over some blocks.
+/// A pass, at a point, over blocks of classes that are not in phases.
 pub(super) struct BlockPass<'a> {
     pub(super) blocks: &'a [f64],
     pub(super) layout: ClassLayout,
@@ -30,7 +30,7 @@ pub(super) struct BlockPass<'a> {
 impl Kernel for BlockPass<'_> {
     type Output = ClassSums;
 
-    /// For few states sizes are known at compile time, so that all of a block stays in registers.
+    /// For few states sizes are known at compile time, so that the likelihood terms of a block stay in registers.
     #[inline(always)]
     fn run<T: Lanes>(self) -> ClassSums {
         if self.layout.several || self.layout.covariates > 0 || self.wanted.flat.is_some() {
@@ -77,8 +77,8 @@ impl BlockPass<'_> {
     }
 }
 
-/// Floating-point operations on one test of p states, counted by running the code: those of the kernel, and of adding
-/// its terms to the sums of first derivatives.
+/// Floating-point operations on one test of p states, counted by running the code: evaluation of the likelihood terms,
+/// and addition of the terms to the sums of first derivatives.
 pub(crate) fn flops_of_a_test(p: usize) -> Flops {
     let elements = Elements::single(p);
     let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Mean, flat: None };

@@ -1,4 +1,4 @@
-//! Units that are evaluated together: in columns where their designs are equal, in lanes where they differ.
+//! Units that are evaluated together: in columns where all designs are equal, in lanes where designs differ.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use kalfit_algebra::rows::Rows;
 
 /// Designs and data of units that are evaluated together.
 pub(super) struct BatchData<'a, T> {
-    /// The groups, inner groups before the groups that contain them; the last one is the unit.
+    /// The groups, each group before the group that contains it; the last group is the unit.
     pub(super) groups: &'a [UnitGroup],
     /// Leaf, as an index into `leaves`, and group of each test.
     pub(super) tests: Vec<UnitTest>,
@@ -23,7 +23,7 @@ pub(super) struct BatchData<'a, T> {
 }
 
 impl<'a> BatchData<'a, f64> {
-    /// Some units of one design, one in each column.
+    /// The units `some` of one design, one unit in each column.
     pub(super) fn equal_designs(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
         let mut leaves: Vec<Leaf> = Vec::new();
         let mut last = None;
@@ -43,7 +43,7 @@ impl<'a> BatchData<'a, f64> {
 }
 
 impl<T> BatchData<'_, T> {
-    /// Whether `group` is `other`, or is contained in it.
+    /// Whether `group` is `other` or a group within `other`.
     pub(super) fn is_within(&self, mut group: usize, other: usize) -> bool {
         while group != other && self.groups[group].parent != group {
             group = self.groups[group].parent;
@@ -83,7 +83,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
     }
 }
 
-/// The test in each lane: its leaf, the data of its design, and its column there.
+/// The test in each lane: leaf, d in every unit of the design (p × units), and the unit's column of d.
 type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
 
 #[inline(always)]

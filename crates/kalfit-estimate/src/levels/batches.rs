@@ -4,11 +4,11 @@ use kalfit_lanes::{Isa, MOST};
 
 use crate::levels::design::{UnitDesign, UnitGroup};
 
-/// Units in lanes with a common layout: where a unit has fewer groups or tests than another, its lane has empty ones,
-/// which add nothing.
+/// Units in lanes with a common layout: where a unit has fewer groups or tests than the layout, the lane has empty
+/// groups or tests, which add nothing.
 #[derive(Debug, Clone)]
 pub(super) struct UnitBatch {
-    /// The groups, inner groups before the groups that contain them; the last one is the unit.
+    /// The groups, each group before the group that contains it; the last group is the unit.
     pub(super) groups: Vec<UnitGroup>,
     /// The group of each test.
     pub(super) tests: Vec<usize>,
@@ -19,16 +19,16 @@ pub(super) struct UnitBatch {
 /// A unit that takes a lane of a batch.
 #[derive(Debug, Clone)]
 pub(super) struct UnitInLane {
-    /// Number of the unit's design.
+    /// Index of the unit's design.
     pub(super) design: usize,
-    /// Number of the unit in its design.
+    /// Index of the unit among the units of the design.
     pub(super) unit: usize,
-    /// For each test of the batch the number of the test in the design; `None` where the unit has none.
+    /// For each test of the batch the index of the test in the design; `None` where the unit has no such test.
     pub(super) tests: Vec<Option<usize>>,
 }
 
-/// Batches of the units whose design too few other units have. The number of units in a batch depends on the machine,
-/// everything else on the tests alone.
+/// Batches of the units whose design is not shared by enough units for columns. The number of units in a batch depends
+/// on the machine, everything else on the tests alone.
 pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
     let isa = Isa::best();
     let few = |(number, design): (usize, &UnitDesign)| {
@@ -42,7 +42,7 @@ pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
 }
 
 impl UnitDesign {
-    /// Whether so many units have the design that computing its matrices once is cheaper than in lanes.
+    /// Whether enough units share the design that one computation of the matrices for all units is cheaper than lanes.
     pub(super) fn is_shared(&self) -> bool {
         self.units.len() >= Isa::best().lanes()
     }
@@ -58,14 +58,14 @@ impl UnitDesign {
     }
 }
 
-/// Members of a group: inner groups, and the tests that are in none of these.
+/// Members of a group: indices of the inner groups, and of the tests that are in no inner group.
 #[derive(Debug, Clone, Default)]
 struct Contents {
     inner: Vec<usize>,
     tests: Vec<usize>,
 }
 
-/// Numbers of groups and tests in a group.
+/// Shape of a group: level, number of tests that are in no inner group, and shapes of the inner groups.
 #[derive(Debug, Clone)]
 struct UnitShape {
     level: usize,
@@ -79,7 +79,7 @@ impl UnitShape {
         UnitShape { level: design.groups[group].level, tests: contents[group].tests.len(), inner }
     }
 
-    /// Number of tests, with those in inner groups.
+    /// Number of tests, including the tests in inner groups.
     fn size(&self) -> usize {
         self.tests + self.inner.iter().map(UnitShape::size).sum::<usize>()
     }
@@ -98,7 +98,8 @@ impl UnitShape {
         self.inner.extend_from_slice(more);
     }
 
-    /// Appends the groups, inner ones first, and the group of each test; returns the index of this group.
+    /// Appends the inner groups, then this group, to `groups`, and the index of each test's group to `tests`; returns
+    /// the index of this group.
     fn append_layout(&self, groups: &mut Vec<UnitGroup>, tests: &mut Vec<usize>) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|shape| shape.append_layout(groups, tests)).collect();
         let own = groups.len();
@@ -108,7 +109,7 @@ impl UnitShape {
         own
     }
 
-    /// Appends for each test of this shape the test of a group of a design, or `None`, in the order of
+    /// Appends for each test of this shape the index in the design of a test in `group`, or `None`, in the order of
     /// [`UnitShape::append_layout`].
     fn append_tests(&self, contents: &[Contents], group: Option<usize>, test_numbers: &mut Vec<Option<usize>>) {
         let inner = |at: usize| contents[group?].inner.get(at).copied();

@@ -16,7 +16,7 @@ pub(super) struct Leaf<T = f64> {
 pub(super) struct UnitDesign {
     /// Leaf and group of each test.
     pub(super) tests: Vec<UnitTest>,
-    /// The groups, inner groups before the groups that contain them; the last one is the unit.
+    /// The groups, each group before the group that contains it; the last group is the unit.
     pub(super) groups: Vec<UnitGroup>,
     /// The units with this design.
     pub(super) units: Vec<UnitMembers>,
@@ -24,7 +24,7 @@ pub(super) struct UnitDesign {
     pub(super) data: Vec<Rows>,
 }
 
-/// A test of a unit: its leaf (design) and its innermost group.
+/// A test of a unit: leaf (design) and innermost group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct UnitTest {
     pub(super) leaf: usize,
@@ -34,23 +34,23 @@ pub(super) struct UnitTest {
 /// A group of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct UnitGroup {
-    /// Level of the group, 1 for the innermost: the block of its Σ.
+    /// Level of the group, 1 for the innermost: the index of the block of Σ.
     pub(super) level: usize,
-    /// The group that contains this group; the unit itself for the unit.
+    /// Index of the group that contains this group; the unit has the index of the unit.
     pub(super) parent: usize,
 }
 
-/// A unit, by the numbers of its reductions and groups.
+/// A unit: indices of the tests' reductions, and of the groups.
 #[derive(Debug, Clone)]
 pub(super) struct UnitMembers {
-    /// Numbers of the unit's reductions, in the order of the tests of the design.
+    /// Indices of the reductions of the unit's tests, in the order of the tests of the design.
     pub(super) tests: Vec<usize>,
-    /// Numbers of the unit's groups in their levels, in the order of the groups of the design.
+    /// Index of each group of the unit among all groups of a level, in the order of the groups of the design.
     pub(super) groups: Vec<usize>,
 }
 
 impl UnitDesign {
-    /// The same design with only some of the units.
+    /// The design with only the given units (indices into `units`).
     pub(super) fn some(&self, units: &[usize]) -> UnitDesign {
         let of = |data: &Rows| Rows::from_fn(data.nrows(), units.len(), |i, at| data[(i, units[at])]);
         UnitDesign {

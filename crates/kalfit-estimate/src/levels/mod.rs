@@ -1,8 +1,8 @@
 //! Tests in groups, level by level (theory §11). A unit is a group of the outermost level.
 //!
 //! ξ of a test is μ plus the effects of its groups plus a per-test effect, all independent: ξ_j = μ_j + β_u + γ_j. A
-//! level maps reductions to reductions: with its per-test effect integrated out, a test (J, y) gives, on the mean m of
-//! its group,
+//! level maps reductions to reductions: a test (J, y) whose per-test effect is integrated out gives, on the mean m of
+//! the test's group,
 //!
 //! ```text
 //! W = (I+JΣ)⁻¹J      s = (I+JΣ)⁻¹y      c - ½log|I+JΣ| + ½y'Σs

@@ -23,8 +23,8 @@ const MAX_COLUMNS: usize = 64;
 /// Most tasks of a pass; fixed, so that sums have the same bits for any number of threads.
 const MAX_TASKS: usize = 64;
 
-/// ℓ and its derivatives at a point. The mean is the sum of the means of all levels, so derivatives by each of them are
-/// equal.
+/// ℓ and its derivatives at a point. The mean is the sum of the means of all levels, so the derivatives by the mean of
+/// each level are equal.
 pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| (summed_levels(flat, units.states, units.levels()), flat.covariance));
     let selection = SumSelection {
@@ -43,8 +43,8 @@ pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums
     sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(selection), UnitSums::and), wanted)
 }
 
-/// Calls `of` for each unit with the numbers of its reductions and its sums of first order, without the constants of
-/// its tests.
+/// Calls `of` for each unit with the indices of the tests' reductions and the sums of first order over the unit,
+/// without the constants of the tests.
 pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
     let selection = SumSelection::of(units, wanted, Order::First);
     for design in units.designs.iter() {
@@ -146,7 +146,7 @@ fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'
     let (p, levels) = (units.states, units.levels());
     let mut sums = wanted.zero_in_groups();
     let all = sums.mean_score.len();
-    // index of a mean coordinate of any level among (μ, coefficients)
+    // index among (μ, coefficients) of coordinate m of (means of all levels, coefficients)
     let own = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
     sums.value = constant + totals.value;
     sums.quadratic = totals.quadratic;

@@ -12,9 +12,9 @@ use kalfit_algebra::rows::Rows;
 /// Posteriors of every test and group of an ensemble, in η.
 #[derive(Debug, Clone)]
 pub struct LevelPosteriors {
-    /// Posteriors of the tests, by their numbers in the grouping.
+    /// Posterior of each test, in the order of the tests in the grouping.
     pub tests: Vec<TestPosterior>,
-    /// Posteriors of the groups, level by level from the innermost on, by their numbers.
+    /// Posterior of each group, level by level from the innermost level on, in the order of the groups in the grouping.
     pub groups: Vec<Vec<ScaledGroupPosterior>>,
 }
 
@@ -29,35 +29,36 @@ pub struct TestPosterior {
     pub(crate) moved: Vec<f64>,
 }
 
-/// Posterior of the mean of the members of a group given all tests of its unit, and the distance of the group, without
-/// the rest of its unit, from the population.
+/// Posterior of the mean of the members of a group given all tests of the unit, and the distance of the group, without
+/// the rest of the unit, from the population.
 #[derive(Debug, Clone, Default)]
 pub struct ScaledGroupPosterior {
     /// Posterior mean of the mean of the members (p).
     pub mean: Vec<f64>,
     /// V, p × p by rows.
     pub covariance: Vec<f64>,
-    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ) for the mean of the group, with Σ the sum over its level and the levels above.
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ) for the mean of the group, with Σ the sum of the Σ of the group's level and of the
+    /// levels above.
     pub squared: f64,
-    /// Rank of J, the information of the group's tests on its mean.
+    /// Rank of J, the information of the group's tests on the group's mean.
     pub degrees_of_freedom: usize,
-    /// Squared distance of its tests and inner groups from each other: the quadratic form of all its tests minus
-    /// `squared`.
+    /// Squared distance of the group's tests and inner groups from each other: the quadratic form of all tests in the
+    /// group minus `squared`.
     pub within: f64,
-    /// log p of the measurements of all its tests, without the rest of the unit.
+    /// log p of the measurements of all tests in the group, without the rest of the unit.
     pub log_density: f64,
     /// d(posterior mean) / d(mean coordinates), p × coordinates by rows; empty unless requested.
     pub follows: Vec<f64>,
 }
 
-/// Posterior of a test, with the number of its reduction, or of a group, with its level and number.
+/// Posterior of a test, with the index of the reduction, or of a group, with the level and the index in the level.
 enum MemberId {
     Test(usize, TestPosterior),
     Group(usize, usize, ScaledGroupPosterior),
 }
 
-/// The posteriors at a point. `constants`: the constants of the reductions, which log densities otherwise lack;
-/// `coordinates`: whether derivatives by the mean coordinates are computed.
+/// The posteriors of all tests and groups at a point. `constants`: the constants of the reductions, which log densities
+/// otherwise lack; `coordinates`: whether derivatives by the mean coordinates are computed.
 pub fn posteriors(
     units: &Units,
     (point, regressors): (&Point, &Regressors),
@@ -97,7 +98,7 @@ pub fn posteriors(
     all
 }
 
-/// Units of one design: their members, data and results.
+/// Units of one design: members, data, and results of the upward and downward pass.
 type EqualUnits<'a> = (&'a [UnitMembers], &'a BatchData<'a, f64>, &'a PassResults<f64>);
 
 fn of_test(at: &LevelLaws<'_>, (units, batch, results): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
@@ -107,7 +108,8 @@ fn of_test(at: &LevelLaws<'_>, (units, batch, results): EqualUnits<'_>, t: usize
     let leaf = &batch.leaves[member.leaf];
     let centre = at.mean_of(leaf);
     let p = centre.len();
-    // a unit step of a mean coordinate moves the prior mean of ξ by its effect, and lowers d - Rμ by R times the effect
+    // a unit step of a mean coordinate moves the prior mean of ξ by the coordinate's effect, and lowers d - Rμ by R
+    // times the effect
     let moved: Vec<f64> = (0..p)
         .flat_map(|i| (0..results.before).map(move |c| (i, c)))
         .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
@@ -148,8 +150,8 @@ fn of_group(
     let (squares, log_det) = up.without_unit(&above.0[node.level]);
     let within = results.within(batch, g);
     let members: Vec<usize> = (0..batch.tests.len()).filter(|&t| batch.is_within(batch.tests[t].group, g)).collect();
-    // a unit step of an element of μ moves the prior mean of the group and lowers d - Rμ; of a coefficient, only the
-    // latter
+    // a unit step of an element of μ moves the prior mean of the group and lowers d - Rμ; a unit step of a coefficient
+    // only lowers d - Rμ
     let follow = |(i, c): (usize, usize)| f64::from(u8::from(i == c)) - mean.mean[(i, c)];
     let follows: Vec<f64> = (0..p).flat_map(|i| (0..results.before).map(move |c| (i, c))).map(follow).collect();
     let one = |(unit, numbers): (usize, &UnitMembers)| {

@@ -1,7 +1,7 @@
 //! Derivatives of r and W̄ of every test and group by an element of a Σ (theory §11).
 //!
-//! With E the derivative of Σ of a level, W and s of the members at that level change by -WEW and -WEs, and those of
-//! the groups above them by
+//! With E the derivative of Σ of a level, W and s of the members at that level change by -WEW and -WEs, and W and s of
+//! the groups above these members by
 //!
 //! ```text
 //! dW = G dJ G'      ds = G(dy - dJ Σ s)      G = (I+JΣ)⁻¹ = I - WΣ
@@ -28,7 +28,7 @@ pub(super) struct SigmaElement {
     pub(super) column: usize,
 }
 
-/// Derivatives of a test or a group.
+/// Derivatives of r and W̄ of a test or a group by an element of a Σ.
 pub(super) struct NodeTangent<'a, T> {
     pub(super) level: usize,
     /// Index of the test in the batch data; `None` for a group.
@@ -52,7 +52,7 @@ pub(super) struct Scratch<T> {
 }
 
 impl<T: Lanes> Scratch<T> {
-    /// Buffers for p states and this number of columns.
+    /// Buffers for p states and `columns` columns.
     #[inline(always)]
     pub(super) fn new(p: usize, columns: usize) -> Scratch<T> {
         Scratch {
@@ -67,7 +67,7 @@ impl<T: Lanes> Scratch<T> {
 
 /// Derivatives (dW, ds) or (dr, dW̄).
 type TangentPair<T> = (Rows<T>, Rows<T>);
-/// Derivatives (dW, ds); `None` where they are zero.
+/// Derivatives (dW, ds); `None` where both are zero.
 type WeightTangent<T> = Option<TangentPair<T>>;
 
 impl SigmaElement {
@@ -252,7 +252,7 @@ fn with_transpose<T: Lanes>(a: &Rows<T>) -> Rows<T> {
     a.transposed().plus(a)
 }
 
-/// (dr, dW̄) of a group; `above` is the posterior mean of the group that it belongs to, and the derivative of that.
+/// (dr, dW̄) of a group; `above`: posterior of the mean of the enclosing group, and the derivative of this posterior.
 #[inline(always)]
 fn moved<T: Lanes>(
     (W, down): (&Rows<T>, &Down<T>),

@@ -26,15 +26,15 @@ pub(super) struct UnitSums<T = f64> {
     /// For the restricted likelihood: Σ ½ (r_c r_d' + r_d r_c'), pairs c, d of free mean coordinates × elements of the
     /// Σ.
     pub(super) spread: Rows<T>,
-    /// -∂²ℓ by two elements.
+    /// -∂²ℓ by two elements of the Σ.
     pub(super) observed: Rows<T>,
-    /// -∂²ℓ by a mean coordinate and an element.
+    /// -∂²ℓ by a mean coordinate and an element of the Σ.
     pub(super) cross: Rows<T>,
-    /// Expected information by two elements.
+    /// Expected information on two elements of the Σ.
     pub(super) expected: Rows<T>,
 }
 
-/// Which sums are computed, and their sizes.
+/// Selection and sizes of the sums that are computed.
 #[derive(Clone, Copy)]
 pub(super) struct SumSelection<'a> {
     pub(super) order: Order,
@@ -45,7 +45,7 @@ pub(super) struct SumSelection<'a> {
     /// Number of mean coordinates.
     pub(super) coordinates: usize,
     /// Free mean coordinates, for the restricted likelihood: d(μ, coefficients) / d(free mean coordinates), and the
-    /// covariance of the latter where it is known.
+    /// covariance of the free mean coordinates where known.
     pub(super) flat: Option<(&'a DMatrix<f64>, Option<&'a DMatrix<f64>>)>,
 }
 
@@ -75,7 +75,7 @@ impl<T: Lanes> UnitSums<T> {
         totals
     }
 
-    /// Adds the terms of some units.
+    /// Adds the terms of the units of a batch.
     #[inline(always)]
     pub(super) fn take(&mut self, at: &LevelLaws<'_, T>, batch: &BatchData<'_, T>, selection: SumSelection<'_>) {
         let coordinates = !at.regressors.is_empty() || selection.flat.is_some();
@@ -171,7 +171,7 @@ impl<T: Lanes> UnitSums<T> {
         }
     }
 
-    /// Adds the derivatives of all scores by an element.
+    /// Adds the derivatives of all scores by an element of a Σ.
     #[inline(always)]
     fn along(
         &mut self,
@@ -274,7 +274,7 @@ impl UnitSums {
     }
 }
 
-/// For each mean coordinate the state of a test that it moves, and the derivative.
+/// For each mean coordinate the state of a test that the coordinate moves, and d(state) / d(coordinate).
 #[inline(always)]
 fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
     let states = (0..at.mean.len()).map(
@@ -284,7 +284,8 @@ fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl It
     states.chain(at.regressors.iter().copied().zip(covariates.iter().copied()))
 }
 
-/// Columns of r for the free mean coordinates, from the first columns of `r`, those of the mean coordinates.
+/// Columns of r for the free mean coordinates: the first columns of `r`, one for each mean coordinate, times
+/// `jacobian`.
 #[inline(always)]
 fn free_columns<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
     r.first_columns(jacobian.nrows()).times(&numbers(jacobian))
@@ -300,7 +301,7 @@ fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
     )
 }
 
-/// Adds AB' over the columns from `before` on.
+/// sum ← sum + AB', over the columns of A and B from `before` on.
 #[inline(always)]
 fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), before: usize) {
     for i in 0..a.nrows() {

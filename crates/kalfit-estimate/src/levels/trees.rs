@@ -11,19 +11,19 @@ use kalfit_model::Grouping;
 
 /// A group with its inner groups and tests, in an order that does not depend on the order of the tests.
 pub(super) struct GroupTree {
-    /// Number of the group in its level.
+    /// Index of the group among all groups of the level.
     group: usize,
     level: usize,
-    /// Number of the group's design, equal for groups of equal design.
+    /// Index of the group's design: equal for groups of equal design.
     pub(super) kind: usize,
     /// Position of the group's first test in the order of the ids.
     first: usize,
     inner: Vec<GroupTree>,
-    /// Tests that are in no inner group: (leaf, position in the order of the ids, number of the reduction).
+    /// Tests that are in no inner group: (leaf, position in the order of the ids, index of the reduction).
     tests: Vec<(usize, usize, usize)>,
 }
 
-/// The trees of all units, in the order of their first tests.
+/// The trees of all units, in the order of each unit's first test.
 pub(super) fn trees(
     reductions: &Reductions,
     leaf_of: &[usize],
@@ -72,7 +72,7 @@ impl GroupTree {
         self.kind = *kinds.entry(signature).or_insert(next);
     }
 
-    /// Appends the groups, inner ones first, and the tests to `unit`; returns the index of this group there.
+    /// Appends the inner groups, this group and the tests to `unit`; returns the index of this group in `unit`.
     fn visit(&self, unit: &mut FlatUnit) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|tree| tree.visit(unit)).collect();
         let own = unit.groups.len();
@@ -83,7 +83,8 @@ impl GroupTree {
     }
 }
 
-/// Groups and tests of a unit as flat lists, with the number of each group in its level and of each test's reduction.
+/// Groups and tests of a unit as flat lists, with the index of each group among all groups of a level and of each
+/// test's reduction.
 #[derive(Default)]
 pub(super) struct FlatUnit {
     pub(super) groups: Vec<(UnitGroup, usize)>,

@@ -23,7 +23,7 @@ pub struct Units {
     pub states: usize,
     /// The groups that each test belongs to, level by level.
     pub grouping: Arc<Grouping>,
-    /// Number in the grouping of the test of each reduction.
+    /// Index in the grouping of each reduction's test.
     pub(super) numbers: Arc<Vec<usize>>,
     /// Sum of the constants of the tests.
     pub(super) constant: f64,
@@ -38,7 +38,7 @@ pub struct Units {
 }
 
 impl Units {
-    /// Gathers reductions, given with their classes; `Err` with the id of a test that is in no group.
+    /// Gathers `reductions`, which form `classes`; `Err` with the id of a test that is in no group.
     pub(crate) fn new(reductions: &Reductions, classes: &Classes, grouping: &Arc<Grouping>) -> Result<Units, String> {
         let frame = &classes.frame;
         let states = frame.scale.len() / (grouping.depth() + 1);
@@ -79,12 +79,12 @@ impl Units {
         })
     }
 
-    /// The same units with other noise: d is multiplied by `unit`, and `change` is added to the constant.
+    /// The units at another noise level: d is multiplied by `unit`, and `change` is added to the constant.
     pub(crate) fn with_noise(&self, unit: f64, change: f64) -> Units {
         Units { unit: self.unit * unit, constant: self.constant + change, ..self.clone() }
     }
 
-    /// A part of the units, one in `every`, evenly spread; the constant is reduced in proportion.
+    /// Every `every`-th unit; the constant is reduced in proportion to the number of units.
     pub(crate) fn thinned(&self, every: usize) -> Units {
         let mut first = 0;
         let mut designs = Vec::new();

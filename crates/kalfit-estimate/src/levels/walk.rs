@@ -38,14 +38,15 @@ pub(super) struct Integrated<T> {
     log_det: T,
 }
 
-/// Upward result of a group: its information on the mean of the group that it belongs to.
+/// Upward result of a group: information of the group's tests on the mean of the enclosing group.
 pub(super) struct Up<T> {
     pub(super) W: Rows<T>,
-    /// s: columns of the mean coordinates, if requested, then a column for each column of the batch data.
+    /// s, p × columns: one column for each mean coordinate, if requested, then one for each column of the batch data.
     pub(super) s: Rows<T>,
     /// [R | d] of the members' joint information on the group's mean; d has the columns of s.
     said: Rows<T>,
-    /// Squared residuals of each column from joining the direct members, without those from within inner groups.
+    /// Squared residuals of each column from joining the direct members, without the residuals from within inner
+    /// groups.
     left: Vec<T>,
     /// Sum of log|I + RΣR'| over the direct members.
     log_det: T,
@@ -69,7 +70,8 @@ pub(super) struct GroupMean<T> {
 
 /// Results of the upward and downward pass through some units at a point.
 pub(super) struct PassResults<T> {
-    /// Number of columns before those of the units: the effects of the mean coordinates, where requested.
+    /// Number of columns of d, s and r that precede the columns of the units: one for each mean coordinate if
+    /// requested, else none.
     pub(super) before: usize,
     /// Number of units, one in each column.
     pub(super) columns: usize,
@@ -89,7 +91,7 @@ pub(super) struct PassResults<T> {
     pub(super) said: Vec<Rows<T>>,
     /// Downward result of each test.
     pub(super) tests: Vec<Down<T>>,
-    /// WV of each test, with V of the mean of its group.
+    /// WV of each test, with V of the mean of the test's group.
     pub(super) known: Vec<Rows<T>>,
 }
 
@@ -128,7 +130,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         at
     }
 
-    /// μ of the tests of a leaf, moved by their regressions.
+    /// μ plus the effects of the regressions, for the tests of a leaf.
     #[inline(always)]
     pub(super) fn mean_of(&self, leaf: &Leaf<T>) -> Vec<T> {
         let mut mean = self.mean.clone();
@@ -138,7 +140,8 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         mean
     }
 
-    /// d - Rμ of a test in each unit; before it `before` columns, R times the effect of each mean coordinate on ξ.
+    /// Columns of one test: `before` columns with R times the effect of each mean coordinate on ξ, then d - Rμ in each
+    /// unit.
     #[inline(always)]
     fn data(&self, (leaf, data): (&Leaf<T>, &Rows<T>), before: usize) -> Rows<T> {
         let (p, mean) = (self.mean.len(), self.mean_of(leaf));
@@ -259,7 +262,7 @@ impl LevelLaws<'_> {
 
 impl PassResults<f64> {
     /// Sum of log|I + RΣR'| over all tests and inner groups of a group, without the group itself, and the squared
-    /// residuals of each column from joining them.
+    /// residuals of each column from joining these tests and groups.
     pub(super) fn within(&self, batch: &BatchData<'_, f64>, group: usize) -> (f64, Vec<f64>) {
         let inner = (0..batch.groups.len()).filter(|&own| batch.is_within(own, group));
         let mut sum = (0.0, vec![0.0; self.before + self.columns]);
@@ -272,8 +275,8 @@ impl PassResults<f64> {
 }
 
 impl Up<f64> {
-    /// Squared residuals of each column and log|I + RΣR'| of the group without other groups; `root`: F' of the Σ of its
-    /// mean.
+    /// Squared residuals of each column and log|I + RΣR'| of the group without the rest of the unit; `root`: F' of the
+    /// prior covariance FF' of the group's mean.
     pub(super) fn without_unit(&self, root: &Rows) -> (Vec<f64>, f64) {
         let p = self.said.nrows();
         let solved = Integrated::of(&self.said.first_columns(p), root);
@@ -281,7 +284,7 @@ impl Up<f64> {
         (squares(&left), solved.log_det)
     }
 
-    /// Rank of R. Where tests inform the same directions, folding leaves rounding errors, which do not count.
+    /// Rank of R. Rounding errors, which folding leaves where several tests inform one direction, do not count.
     pub(super) fn rank(&self) -> usize {
         let p = self.said.nrows();
         let size = |k: usize| (0..=k).map(|i| self.said[(i, k)].powi(2)).sum::<f64>().sqrt();

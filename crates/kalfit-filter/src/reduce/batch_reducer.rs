@@ -1,5 +1,5 @@
-//! Tests → reductions, many at a time: replicates share one design in lanes, and other tests share lanes with tests of
-//! the same shape.
+//! Tests → reductions, many at a time: replicates share lanes and one design, and tests without replicates share lanes
+//! with tests of one shape.
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
@@ -14,15 +14,16 @@ use crate::reduce::reducer::Reducer;
 use crate::reduce::replicates::Replicates;
 use kalfit_model::Test;
 
-/// Number of chunks of tests after which their reductions join the result: few reductions are ever in memory twice.
+/// Number of chunks of tests per round. The reductions of a round join the result at the end of the round, so that few
+/// reductions are ever in memory twice.
 const CHUNKS_PER_ROUND: usize = 128;
-/// Number of lists of replicates after which their reductions join the result.
+/// Number of lists of sets of replicates per round.
 const LISTS_PER_ROUND: usize = 32;
 
 /// Number of tests per lane that are collected and sorted by shape before they are reduced: enough to fill lanes with
 /// similar tests, few enough to take little memory.
 const TESTS_PER_LANE: usize = 4;
-/// Total number of steps at which the collected tests are reduced, however few they are.
+/// Total number of steps at which the collected tests are reduced, however few tests have been collected.
 const MAX_COLLECTED_STEPS: usize = 1 << 18;
 
 /// Reduces tests without replicates, in batches of tests of one shape.
@@ -30,7 +31,7 @@ const MAX_COLLECTED_STEPS: usize = 1 << 18;
 struct BatchReducer<'a> {
     reducer: &'a Reducer,
     work: Workspace,
-    /// Collected tests, and cleared skeletons for further ones.
+    /// Skeletons of the collected tests; `unused` holds skeletons for further tests.
     own: Vec<Skeleton>,
     unused: Vec<Skeleton>,
     batch_work: BatchWorkspace,
@@ -53,7 +54,7 @@ impl Reducer {
         Replicates::of(self.preparer().cell_mask.as_ref(), tests)
     }
 
-    /// Reductions and faults of the tests in `replicates`.
+    /// Reductions and errors of the tests in `replicates`.
     pub(crate) fn reduce_each(&self, tests: &[&Test], replicates: &Replicates) -> ReducedTests {
         let (mut all, many, alone) = (ReducedTests::default(), replicates.len(), &replicates.alone);
         let size = chunk_size(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
@@ -84,7 +85,8 @@ impl<'a> BatchReducer<'a> {
         BatchReducer { reducer, work, own: Vec::new(), unused: Vec::new(), batch_work }
     }
 
-    /// Reductions and faults of the tests with these numbers; in the order of the tests if no last states are wanted.
+    /// Reductions and errors of the tests with indices `numbers`; in the order of the tests if no last states are
+    /// wanted.
     fn reduce(&mut self, tests: &[&Test], numbers: &[usize]) -> ReducedTests {
         let mut found = ReducedTests::default();
         for &number in numbers {

@@ -7,9 +7,9 @@
 //! ```
 //!
 //! Which tests share a shape, which cells each step reads and what is measured depend on the cells of the data alone,
-//! so they are determined once. Where a test lacks a measurement or a step of its batch, its lane has one that changes
-//! nothing. A test that is in error, or that calls for square-root arrays, is reduced by itself, and that path reports
-//! the error.
+//! so that one determination holds for all α. For a measurement or a step of the batch that a test lacks, the lane of
+//! the test has one that changes nothing. A test that is in error or needs square-root arrays is reduced alone, outside
+//! the batch; that reduction reports the error.
 
 pub(crate) mod batch_workspace;
 mod identity;
@@ -38,11 +38,11 @@ pub(crate) use layout::BatchLayout;
 use reduced::TestHeader;
 pub(crate) use values::BatchValues;
 
-/// Memory limit of all batches of an ensemble, with their numbers at one α, in bytes.
+/// Memory limit of all batches of an ensemble with the values at one α, in bytes.
 const MAX_CACHED_BYTES: usize = 1 << 30;
 /// Number of chunks of batches per thread.
 const CHUNKS_PER_THREAD: usize = 4;
-/// Most batches in a chunk: ensembles of long tests have few batches.
+/// Largest number of batches in a chunk; ensembles of long tests have few batches.
 const MAX_CHUNK_BATCHES: usize = 8;
 
 /// A batch of tests in lanes.
@@ -50,18 +50,18 @@ const MAX_CHUNK_BATCHES: usize = 8;
 struct CachedBatch {
     layout: BatchLayout,
     own: Vec<TestHeader>,
-    /// Unused sets of numbers, evaluated at some α.
+    /// Values of the batch, each set at some α, that no [`FilteredBatches`] uses.
     idle: Mutex<Vec<BatchValues>>,
 }
 
-/// The tests of an ensemble with different designs, in batches. Which tests share a batch depends on the ensemble, not
-/// on the order of its tests.
+/// The tests of an ensemble with different designs, in batches. Which tests share a batch does not depend on the order
+/// of the tests.
 #[derive(Debug, Default)]
 pub(crate) struct EnsembleBatches {
     batches: Vec<CachedBatch>,
-    /// Tests without replicates that fit no batch, whatever α.
+    /// Indices of the tests without replicates that fit no batch, whatever α.
     unbatched: Vec<usize>,
-    /// All other tests that are in no batch.
+    /// The tests that are neither in `batches` nor in `unbatched`.
     others: Replicates,
 }
 
@@ -69,13 +69,13 @@ pub(crate) struct EnsembleBatches {
 #[derive(Debug)]
 pub(crate) struct FilteredBatches {
     of: Arc<EnsembleBatches>,
-    /// Numbers of each batch.
+    /// Values of each batch at the α.
     values: Vec<BatchValues>,
 }
 
 impl EnsembleBatches {
-    /// Batches of those tests in `numbers` that share their design with no other test. `shared`: a few tests of each
-    /// design that several tests share. `replicates`: the replicates among all tests.
+    /// Batches of the tests with indices `numbers`, without tests that share a design with another test. `shared`:
+    /// indices of a few tests of each design that several tests share. `replicates`: the replicates among all tests.
     pub(crate) fn new(
         reducer: &Reducer,
         (tests, replicates): (&[&Test], Replicates),
@@ -121,7 +121,7 @@ impl EnsembleBatches {
         EnsembleBatches { batches, unbatched, others: replicates.without(&kept) }
     }
 
-    /// Reductions and faults of all tests at the α of a reducer.
+    /// Reductions and errors of all tests at the α of `reducer`, and the batches after the filters.
     pub(crate) fn reduce(
         self: &Arc<EnsembleBatches>,
         reducer: &Reducer,
@@ -142,7 +142,7 @@ impl EnsembleBatches {
         (found, filtered)
     }
 
-    /// Runs the filters of all batches at the α of a reducer.
+    /// Runs the filters of all batches at the α of `reducer`.
     fn filter_all(self: &Arc<EnsembleBatches>, reducer: &Reducer, tests: &[&Test]) -> (FilteredBatches, ReducedTests) {
         let mut alpha = Digest::new();
         digest_alpha(&mut alpha, reducer.preparer().at().alpha);
@@ -165,13 +165,13 @@ impl EnsembleBatches {
         (FilteredBatches { of: self.clone(), values }, all)
     }
 
-    /// Numbers of the tests that are in batches.
+    /// Indices of the tests that are in batches.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
         self.batches.iter().flat_map(|batch| &batch.layout.tests).copied()
     }
 }
 
-/// Splits sorted tests into groups that share a batch.
+/// Splits tests, sorted by shape, into the groups that become batches.
 fn groups<'a>(preparer: &Preparer, skeletons: &'a [Skeleton]) -> Vec<&'a [Skeleton]> {
     let (mut remaining, mut groups) = (skeletons, Vec::new());
     while !remaining.is_empty() {
@@ -205,7 +205,7 @@ impl CachedBatch {
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
         let digests = values.design_digests(&layout, &steps, &mut Vec::new());
         let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestHeader {
-            digest: if values.valid[lane] { digest } else { own.number as u128 }, // equal to no other digest
+            digest: if values.valid[lane] { digest } else { own.number as u128 }, // a number that is no digest of another test
             covariates: own.covariates.clone(),
             steps: own.len(),
             observations: own.instances.len(),
@@ -213,7 +213,7 @@ impl CachedBatch {
         CachedBatch { own: own.collect(), layout, idle: Mutex::new(vec![values]) }
     }
 
-    /// Evaluates the tests at the α of a reducer and runs their filters. `alpha`: digest of α.
+    /// Evaluates the tests of the batch at the α of `reducer` and runs the filters. `alpha`: digest of α.
     fn evaluate_and_filter(
         &self,
         (reducer, alpha): (&Reducer, u128),
@@ -248,7 +248,7 @@ pub(crate) struct FilteredBatch<'a> {
 }
 
 impl FilteredBatch<'_> {
-    /// (Lane, number) of each test that was filtered in the batch.
+    /// (lane, index of the test) of each test that was filtered in the batch.
     pub(crate) fn tests(&self) -> impl Iterator<Item = (usize, usize)> {
         self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.valid[lane])
     }

@@ -1,4 +1,4 @@
-//! What a phase inherits: σ = [ξ; 0] + T x_K + t with x_K the last state of the phase before (theory §7).
+//! What a phase inherits: σ = [ξ; 0] + T x_K + t; x_K is the last state of the phase before (theory §7).
 
 use std::borrow::Cow;
 
@@ -14,11 +14,11 @@ use kalfit_model::{Alpha, Phase, Scope};
 /// T and t of a phase at α, as coefficients.
 #[derive(Debug, Clone)]
 pub(crate) struct Inheritance {
-    /// Shape of T: q × n, n the number of states of the phase before.
+    /// (q, n), the shape of T; n is the number of states of the phase before.
     shape: (usize, usize),
-    /// Terms of T and t, without those that are always zero.
+    /// The entries of T and t that can differ from zero.
     pub(crate) terms: Vec<InheritanceTerm>,
-    /// Columns that must be constant within the phase.
+    /// Columns of the data that must be constant within the phase.
     uses: Uses,
     /// T and t, if they are the same for all tests.
     fixed: Option<Inherited>,
@@ -35,7 +35,7 @@ pub(crate) struct InheritanceTerm {
 }
 
 impl Inheritance {
-    /// The inheritance of a phase that follows a phase of `before` states. `at`: the model of the phase.
+    /// The inheritance of `phase`, which follows a phase with `before` states. `at`: the model of `phase` at α.
     pub(crate) fn new(phase: &Phase, before: usize, at: &ModelAt<'_>) -> Result<Inheritance, Box<Fault>> {
         let entering = phase.entering();
         let (mut terms, mut uses) = (Vec::new(), Uses::default());
@@ -70,7 +70,7 @@ impl Inheritance {
         Ok(Scope { numbers: &cells.numbers, texts: &cells.texts, step: f64::NAN, alpha })
     }
 
-    /// T and t of a test. `test`: its rows of this phase.
+    /// T and t of a test. `test`: the rows of the test in this phase.
     pub(crate) fn of(
         &self,
         at: &ModelAt<'_>,

@@ -1,5 +1,5 @@
-//! Which cells of a test determine everything but its measured values: tests with the same bits in these cells share
-//! one evaluation of their design, start and inputs.
+//! The cells of a test that determine everything but the measured values: tests with equal bits in these cells share
+//! one evaluation of design, start and inputs.
 
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
@@ -15,13 +15,14 @@ pub(crate) struct CellMask {
     isa: Isa,
     /// All ones for a numeric column that is read, else zero; repeated for `ROWS_AT_ONCE` rows.
     read: Vec<u64>,
-    /// All ones for a measured column, of which only missing cells count, else zero; repeated likewise.
+    /// All ones for a measured column, in which only whether a cell is missing counts, else zero; repeated for
+    /// `ROWS_AT_ONCE` rows.
     measured: Vec<u64>,
-    /// Text columns that are read.
+    /// Indices of the text columns that are read.
     texts: Vec<usize>,
 }
 
-/// The part of a cell that counts: its bits if it is read, whether it is missing if it is measured.
+/// The bits of a cell that count: all bits if the cell is read; for a measured cell, only whether the cell is missing.
 #[inline(always)]
 fn counted_bits(x: f64, read: u64, measured: u64) -> u64 {
     (x.to_bits() & read) | (if x.is_nan() { measured } else { 0 })
@@ -38,7 +39,7 @@ impl CellMask {
         CellMask { isa: Isa::best(), read, measured, texts: uses.texts.clone() }
     }
 
-    /// Hash of the cells that count: of all rows if `all`, else of the first rows.
+    /// Hash of the cells that count, in all rows if `all`, else in the first `ROWS_AT_ONCE` rows.
     pub(crate) fn hash(&self, test: &Test, all: bool) -> u64 {
         let rows = if all { test.rows() } else { test.rows().min(ROWS_AT_ONCE) };
         let cells = &test.all_numbers()[..rows * test.widths().0];

@@ -2,12 +2,12 @@
 
 /// Number of chunks per thread.
 const CHUNKS_PER_THREAD: usize = 4;
-/// Most tests in a chunk.
+/// Largest number of tests in a chunk.
 const MAX_TESTS: usize = 512;
-/// Fewest tests in a chunk, unless fewer tests have `SUFFICIENT_ROWS` rows.
+/// Least number of tests in a chunk, unless fewer tests have `SUFFICIENT_ROWS` rows.
 const MIN_TESTS: usize = 32;
 const SUFFICIENT_ROWS: usize = 8192;
-/// Most rows in a chunk of several tests.
+/// Largest number of rows in a chunk of several tests.
 const MAX_ROWS: usize = 1 << 20;
 
 /// Number of tests per chunk, for `tests` tests with `rows` rows in all.

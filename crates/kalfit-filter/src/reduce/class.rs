@@ -18,7 +18,7 @@ impl DesignClass {
         &self.0.key
     }
 
-    /// The gains of the design, or why there are none.
+    /// The gains of the design, or the error of the design pass.
     pub(crate) fn gains(&self) -> &Result<Gains, RootError> {
         self.0.value()
     }

@@ -45,7 +45,7 @@ impl<T: Lanes> CovarianceFilter<T> {
         }
     }
 
-    /// Appends the current P and Ψ to a path, if there is one.
+    /// Appends the current P and Ψ to `path`, unless `path` is `None`.
     #[inline(always)]
     pub(super) fn note(&self, path: &mut Option<MomentPath>) {
         if let Some(path) = path {
@@ -60,13 +60,13 @@ impl<T: Lanes> CovarianceFilter<T> {
         self.advance(frame, transition);
     }
 
-    /// Predicts Ψ alone over a transition.
+    /// Predicts Ψ, without P, over a transition.
     #[inline(always)]
     pub(super) fn advance<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
         kernel::advance(&mut self.Psi, frame.p, transition, &mut self.rows);
     }
 
-    /// Takes a scalar measurement (states, h, R) into P, Ψ and the sums; stores its K and T.
+    /// Takes a scalar measurement (states, h, R) into P, Ψ and the sums; stores K and T.
     #[inline(always)]
     pub(super) fn measure<E: Entries<T>>(&mut self, frame: &StateFrame, line: (&[u32], E, T)) -> ScalarUpdate<T> {
         let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
@@ -75,7 +75,7 @@ impl<T: Lanes> CovarianceFilter<T> {
         update
     }
 
-    /// Takes a scalar measurement (states, h) into Ψ and the sums under known gains, `weight` = 1/S; stores its T.
+    /// Takes a scalar measurement (states, h) with known K and `weight` = 1/S into Ψ and the sums; stores T.
     #[inline(always)]
     pub(super) fn measure_with_gains<E: Entries<T>>(&mut self, frame: &StateFrame, terms: (&[u32], E), weight: T) {
         let CovarianceFilter { Psi, K, T, sums, .. } = self;

@@ -1,11 +1,11 @@
-//! The data of a test, and their likelihood under a design.
+//! The data of a test, and the likelihood of the data under a design.
 
 use kalfit_model::ExactRows;
 
 /// Limit of e'S⁻¹e, above which c + ½d'd would lose digits, so that the innovations are computed again at the best ξ.
 pub(crate) const REFINE_ABOVE: f64 = 1e3;
 
-/// Largest deviation of an exact measurement from its only possible value, relative to the size of its terms.
+/// Largest deviation of an exact measurement from the only possible value, relative to the sum of the absolute terms.
 pub(crate) const EXACT_TOLERANCE: f64 = 1e-10;
 
 /// The data of a test, in kernel order and whitened.
@@ -22,7 +22,7 @@ pub struct Data {
 }
 
 impl Data {
-    /// Appends a measured value z and its known part d.
+    /// Appends a measured value z with the constant d of the measurement.
     #[inline(always)]
     pub(crate) fn take(&mut self, z: f64, constant: f64) {
         self.values.push(z - constant);
@@ -50,7 +50,7 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
-    /// From d and the residual sum of squares, for `active` measurements with this Σ log S.
+    /// The outcome from d, the residual sum of squares and Σ log S over `active` measurements.
     pub(crate) fn new(data: Vec<f64>, residual: f64, active: usize, log_determinant: f64) -> Outcome {
         let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
         Outcome { constant: log_density - 0.5 * residual, residual, data, exact: None }
@@ -62,7 +62,7 @@ impl Outcome {
     }
 }
 
-/// Exact measurement `row` is off its only possible value by `residual`.
+/// The error of an exact measurement: scalar measurement `row` minus the only possible value is `residual`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Miss {
     pub(crate) row: usize,

@@ -1,9 +1,9 @@
 //! One test → one reduction (theory §2, the paper's (38), (39)).
 //!
-//! The filter runs once per test with ξ = 0 and propagates the sensitivity Ψ of the filtered state to ξ. Its result is
+//! The filter runs once per test with ξ = 0 and propagates the sensitivity Ψ of the filtered state to ξ. The result is
 //! a [`Reduction`], which holds all the information of the test about ξ.
 //!
-//! With x_0 = a + Aξ + ζ, the filter's prediction at step k is x̂ + Ψξ, and its innovation is e - Tξ with variance S:
+//! With x_0 = a + Aξ + ζ, the prediction at step k is x̂ + Ψξ, and the innovation is e - Tξ with variance S:
 //!
 //! ```text
 //! e = z - d - M x̂,  T = MΨ,  S = MPM' + R,  K = PM'S⁻¹          innovations of any ξ are e - Tξ                 (38)
@@ -21,13 +21,13 @@
 //! ```
 //!
 //! The covariance equations are in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for single
-//! numbers and for lanes; `root` has its own square-root equations for P and J. A `covariance_filter` applies the
+//! numbers and for lanes; `root` has separate square-root equations for P and J. A `covariance_filter` applies the
 //! equations step by step: to one design in `design_pass`, to designs of one shape in `lanes` (`design_batch`). `lanes`
 //! also computes innovations, x̂ and y, of one test or of many; `scan` handles equal steps. A test gives the same bits
 //! alone and in a lane. Designs for which plain covariances lose digits go through `root`.
 //!
-//! A test in several phases is reduced phase by phase, each in its entering coordinates, and then as a whole (theory
-//! §7):
+//! A test in several phases is reduced phase by phase, in the entering coordinates of each phase, and then as a whole
+//! (theory §7):
 //!
 //! ```text
 //! rows ── PhasedModel::split ──> PhasedTest              rows, estimates or a reduction of each phase
@@ -36,14 +36,15 @@
 //! ```
 //!
 //! The reductions of an ensemble are stored by column ([`Reductions`]). Many tests are reduced in lanes (batch_reducer,
-//! [`kalfit_lanes`]). Tests that differ only in their measured values are grouped first (replicates): one of them is
-//! evaluated, and all share one data pass (exemplar, lanes). Tests with per-test designs are evaluated, filtered and
-//! whitened in lanes (batches): their steps follow from their cells (skeleton), whatever α is, and during a search for
-//! α they stay in lanes for all its values. No bit of a result depends on what else is in the batch.
+//! [`kalfit_lanes`]). Tests that differ only in measured values and covariates are grouped first (replicates): one of
+//! them is evaluated, and all share one data pass (exemplar, lanes). Tests with per-test designs are evaluated,
+//! filtered and whitened in lanes (batches): the steps of such a test follow from the cells of the test (skeleton),
+//! whatever α is, and during a search for α these tests stay in lanes for all values of α. No bit of a result depends
+//! on what else is in the batch.
 //!
 //! Long uniform records cost little: equal steps are one stretch of the design; S, K and T are stored once from the
-//! step on at which they no longer change (settling); J then grows in closed form, and the data pass is a linear scan
-//! (scan).
+//! step on at which S, K and T no longer change (settling); J then grows in closed form, and the data pass is a linear
+//! scan (scan).
 
 mod batch_reducer;
 mod batches;

@@ -9,8 +9,8 @@ use crate::reduce::design::{Design, Stretch};
 /// Largest number of moving states for which equal steps have a path.
 const MOST_MOVING: usize = 4;
 
-/// P and Ψ before each step of a stretch while they change, and one more pair: that before all remaining steps, or
-/// after the last step.
+/// Pairs (P, Ψ) of a stretch: one pair before each step while P and Ψ change, and a last pair before all remaining
+/// steps or after the last step.
 #[derive(Debug, Clone)]
 pub(crate) struct MomentPath {
     /// First row of the stretch.
@@ -23,7 +23,7 @@ pub(crate) struct MomentPath {
 }
 
 impl MomentPath {
-    /// Most equal steps that have no path: the backward pass takes so short a stretch step by step.
+    /// Largest number of equal steps without a path: the backward pass goes through so short a stretch step by step.
     pub(crate) const FEW: usize = 4;
 
     /// Number of moving states of a stretch that may have a path: equal steps of one scalar measurement, without known
@@ -39,7 +39,7 @@ impl MomentPath {
         Some(MomentPath { row: stretch.rows.start, sizes, numbers: Vec::new(), count: 0 })
     }
 
-    /// Appends P and Ψ. `P`: r × r, only its lower triangle is read; `Psi`: rows of all states.
+    /// Appends P and Ψ. `P`: r × r, of which only the lower triangle is read; `Psi`: rows of all states.
     #[inline(always)]
     pub(super) fn push<T: Lanes>(&mut self, r: usize, P: &[T], Psi: &[T]) {
         let MomentPath { numbers, sizes, count, .. } = self;
@@ -54,13 +54,13 @@ impl MomentPath {
         }
     }
 
-    /// The finished path, its spare capacity released.
+    /// The finished path, with spare capacity released.
     pub(super) fn complete(mut self) -> MomentPath {
         self.numbers.shrink_to_fit();
         self
     }
 
-    /// P, r × r, and Ψ of the moving states, before a step or after the last step.
+    /// (P, Ψ) before step `step`, or after the last step: P is r × r, Ψ has the rows of the moving states.
     #[inline(always)]
     pub(crate) fn before(&self, step: usize) -> (&[f64], &[f64]) {
         let size = self.sizes.0 + self.sizes.1;

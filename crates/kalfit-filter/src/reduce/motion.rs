@@ -32,18 +32,19 @@ pub struct MotionPlan {
     offsets: Vec<usize>,
     /// Number of entries in the flows of all components together.
     pub(crate) flow_len: usize,
-    /// The components of a single state.
+    /// The components that consist of a single state.
     singles: Vec<Single>,
-    /// The identity's entry at the place of each entry of φ.
+    /// Entry of the identity matrix at the row and column of each entry of φ.
     identity: Vec<f64>,
 }
 
-/// A component of one state.
+/// A component that consists of one state.
 #[derive(Debug, Clone)]
 struct Single {
-    /// Index at which its flow begins.
+    /// Index at which the flow of the component begins.
     offset: usize,
-    /// Slots of its rate and of its noise among the dynamics' coefficients; `None` where it has none.
+    /// Slots of the component's rate and noise among the dynamics' coefficients; `None` without a rate, or without
+    /// noise.
     rate: Option<usize>,
     noise: Option<usize>,
 }
@@ -51,9 +52,9 @@ struct Single {
 /// Source of an entry of φ or Q.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum EntrySource {
-    /// A coefficient.
+    /// Slot of a coefficient.
     Slot(usize),
-    /// An entry of a flow.
+    /// Index of an entry in the flows.
     Flow(usize),
     /// Σ (entry of a flow) × coefficient, an entry of ΓG: the effect of states that are held constant over the step.
     Held(Vec<(usize, usize)>),
@@ -73,7 +74,7 @@ enum InputSource {
 pub struct Moves {
     /// φ and Q of the step.
     pub transition: Arc<Transition>,
-    /// The flows of the components; empty where no input needs them.
+    /// The flows of the components; empty where no input is multiplied by a flow.
     flows: Vec<f64>,
 }
 
@@ -98,7 +99,7 @@ fn state_motion(dynamics: &Dynamics, state: usize) -> StateMotion<'_> {
 }
 
 impl MotionPlan {
-    /// A transition of zeros.
+    /// A transition with φ = 0 and Q = 0.
     pub(crate) fn blank(&self) -> Transition {
         Transition::new(self.pattern.clone(), vec![0.0; self.phi.len()], vec![0.0; self.q.len()])
     }
@@ -173,7 +174,7 @@ impl MotionPlan {
     }
 }
 
-/// The components of a single state.
+/// The components that consist of a single state, with slots and offsets.
 fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
     let slot = |terms: &[(usize, usize, usize)]| terms.first().map(|&(.., slot)| slot);
     let components = dynamics.components.iter().zip(offsets).filter(|(component, _)| component.states.len() == 1);
@@ -185,7 +186,7 @@ fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
     components.map(single).collect()
 }
 
-/// The identity's entry at the place of each entry of φ.
+/// Entry of the identity matrix at the row and column of each entry of φ.
 fn identity(pattern: &Pattern) -> Vec<f64> {
     let own = |row: &TransitionRow| {
         let terms = &pattern.columns[row.start as usize..row.end as usize];
@@ -230,7 +231,7 @@ fn drive(state_motion: &StateMotion<'_>, offsets: &[usize]) -> InputSource {
     }
 }
 
-/// Entries i ≥ j of Q that can be nonzero.
+/// ((i, j), source) of each entry i ≥ j of Q that can be nonzero, in kernel indices.
 fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<((u32, u32), EntrySource)> {
     let pair = |a: usize, b: usize| {
         let (a, b) = (order.place[a], order.place[b]);

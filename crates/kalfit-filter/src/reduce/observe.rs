@@ -1,4 +1,4 @@
-//! The measurements of a step: which were made, their equations and their noise, whitened.
+//! The measurements that a step has: values, equations and noise, whitened.
 
 mod backward;
 mod whiten;
@@ -19,7 +19,7 @@ pub(crate) use whiten::{Whitening, whiten};
 struct Meter {
     column: usize,
     filter: Option<Coefficient>,
-    /// Terms (kernel state, h) of its equation, by ascending state, without those known to be zero.
+    /// Terms (kernel state, h) of the equation, by ascending state, without terms known to be zero.
     terms: Vec<(u32, Coefficient)>,
     constant: Coefficient,
     noise: Coefficient,
@@ -33,15 +33,15 @@ pub(crate) struct Meters {
     pairs: Vec<(usize, usize, Coefficient)>,
 }
 
-/// Covariance of two measurements of a step, numbered from the first one of the step.
+/// Noise covariance of measurements i and j of a step, counted from the first measurement of the step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Correlation {
     pub(crate) i: usize,
     pub(crate) j: usize,
     pub(crate) value: f64,
-    /// Index of the covariance among those of the model.
+    /// Index of the covariance among the noise covariances of the model.
     pub(crate) pair: usize,
-    /// Row of the test on which it was evaluated.
+    /// Row of the test on which the covariance was evaluated.
     pub(crate) row: usize,
 }
 
@@ -119,7 +119,7 @@ impl Meters {
         whiten(out.design, out.data, line, &entries).map_err(|bad| Fault::new(Subject::StepNoise, bad).on(row))
     }
 
-    /// Appends the measurements that a row has; false where one of them is in error.
+    /// Appends the measurements that a row has; false where a measurement is in error.
     #[inline]
     pub(crate) fn measured(
         &self,
@@ -146,8 +146,7 @@ impl Meters {
         })
     }
 
-    /// Columns on which the lines depend (their coefficients, and which of them there are), and columns on which only
-    /// constants depend.
+    /// (columns on which h, noises and filters of measurements depend, columns on which constants d depend).
     pub(crate) fn uses(&self, alpha: &Alpha) -> (Uses, Uses) {
         let (mut lines, mut constants) = (Uses::default(), Uses::default());
         for meter in &self.meters {
@@ -158,8 +157,8 @@ impl Meters {
         (lines, constants)
     }
 
-    /// Kernel states of the line of each measurement, ascending, and the places of the measurement's terms among them:
-    /// whitened lines may have the terms of all measurements.
+    /// For each measurement, the kernel states of the line, ascending, and the index of each term of the measurement
+    /// among these states. A whitened line may have the terms of all measurements.
     pub(crate) fn shapes(&self) -> Vec<(Vec<u32>, Vec<usize>)> {
         let own = |meter: &Meter| meter.terms.iter().map(|(state, _)| *state).collect::<Vec<u32>>();
         let mut all: Vec<u32> = self.meters.iter().flat_map(own).collect();
@@ -190,14 +189,14 @@ impl Meters {
         self.meters.iter().map(|meter| meter.column)
     }
 
-    /// True when a step whose cells repeat has the measurements of the step before, except for their values.
+    /// True when a step whose cells repeat has the measurements of the step before, except for measured values.
     pub(crate) fn can_repeat(&self) -> bool {
         self.pairs.is_empty() // whitening mixes the values of a step
     }
 
     /// Appends the measured values of a step whose lines are those of the step before, `height` rows earlier. Returns
-    /// false and appends nothing where other measurements were made or a value is infinite. `fresh`: constants may
-    /// differ.
+    /// false and appends nothing where other measurements were made or a value is infinite. `fresh`: constants d may
+    /// differ from constants of the step before.
     #[inline]
     pub(crate) fn repeat(
         &self,
@@ -229,9 +228,8 @@ impl Meters {
         Ok(true)
     }
 
-    /// Takes the values of at most `most` one-row steps with the last step's measurements, from row `first` on, where
-    /// only values are read from the test. Stops before a row with other measurements. Returns the number of steps
-    /// taken.
+    /// Appends the values of at most `most` one-row steps from row `first` on, where only values are read from the
+    /// test. Stops before a row with other measurements than the last step. Returns the number of steps appended.
     pub(crate) fn repeat_values(&self, test: &Test, first: usize, most: usize, out: &mut Observed<'_>) -> usize {
         let entries = out.instances.last_step();
         let mut is_taken = vec![false; self.meters.len()];
@@ -309,12 +307,13 @@ pub(crate) struct Observed<'a> {
     pub(crate) instances: &'a mut Instances,
     /// d of each scalar measurement of the last step.
     pub(crate) constants: &'a mut Vec<f64>,
-    /// Covariances that are collected instead of whitened; `None` where measurements are whitened.
+    /// Noise covariances (i, j, value), collected where measurements are not whitened; else `None`.
     pub(crate) covariances: Option<&'a mut Vec<(usize, usize, f64)>>,
 }
 
 impl Meter {
-    /// Takes the measured value, unless the filter excludes it; returns whether it was taken.
+    /// Appends measurement `m` with value `z`, unless the filter excludes the measurement. Returns whether the
+    /// measurement was appended.
     fn take(
         &self,
         at: &ModelAt<'_>,

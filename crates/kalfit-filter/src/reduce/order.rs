@@ -7,7 +7,7 @@ use crate::reduce::dynamics::{Dynamics, close_transitively};
 use crate::reduce::start::ModelStart;
 use crate::reduce::subject::ModelAt;
 
-/// Permutation between the states of a model and those of the kernels.
+/// Permutation between the model's order of states and the kernels' order.
 #[derive(Debug, Clone)]
 pub struct Order {
     /// State of the model at each kernel index.
@@ -22,9 +22,9 @@ pub struct Order {
 pub(crate) struct StateTraits {
     /// Whether noise ever reaches the state.
     pub(crate) noisy: Vec<bool>,
-    /// Whether its row of φ ever differs from that of the identity matrix.
+    /// Whether the row of φ of the state ever differs from the row of the identity matrix.
     pub(crate) moving: Vec<bool>,
-    /// Whether it has a known input b.
+    /// Whether the state has a known input b.
     pub(crate) driven: Vec<bool>,
 }
 
@@ -46,8 +46,8 @@ impl Order {
         Order::of(&StateTraits { noisy, moving, driven }, &sensitivity, p)
     }
 
-    /// The order for given traits: states that noise reaches come first, and within each group those that move.
-    /// `sensitivity`: A by states of the model, n × p, row-major.
+    /// The order for given traits: states that noise reaches come before noise-free states, and in both groups moving
+    /// states come first. `sensitivity`: A by states of the model, n × p, row-major.
     pub(crate) fn of(traits: &StateTraits, sensitivity: &[f64], p: usize) -> Order {
         let StateTraits { noisy, moving, driven } = traits;
         let n = noisy.len();

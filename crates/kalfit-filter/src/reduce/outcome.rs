@@ -1,4 +1,4 @@
-//! The outcome of a single test: its data pass under the gains of its design.
+//! The outcome of a single test: the data pass under the gains of the test's design.
 
 use crate::reduce::data::{Data, EXACT_TOLERANCE, Miss, Outcome};
 use crate::reduce::design::Design;
@@ -7,7 +7,7 @@ use crate::reduce::gains::{FactorRotations, Gains};
 use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_alone};
 use kalfit_lanes::Lanes;
 
-/// The outcome of a test. An error where a measurement that admits only one value has another.
+/// The outcome of a test; an error where a noise-free measurement has a value other than the only possible one.
 pub(crate) fn outcome(
     design: &Design,
     gains: &Gains,
@@ -41,8 +41,7 @@ pub(crate) fn outcome(
     Ok(Outcome { exact: exact.map(Box::new), ..Outcome::new(d, residual, gains.active, gains.log_determinant) })
 }
 
-/// Observer of measurements without weight, whose value is determined by the others: it checks that they have this
-/// value.
+/// Observer that checks measurements with 1/S = 0: the value of such a measurement is determined by other measurements.
 struct ConsistencyCheck<'a> {
     design: &'a Design,
     gains: &'a Gains,
@@ -69,7 +68,7 @@ impl InnovationObserver for ConsistencyCheck<'_> {
     }
 }
 
-/// (d, residual sum of squares), from the innovations by the rotations that were applied to make R.
+/// (d, residual sum of squares): the rotations that made R, applied to the innovations `e`.
 fn folded((p, gains): (usize, &Gains), rotations: &FactorRotations, e: &[f64]) -> (Vec<f64>, f64) {
     let (mut d, mut residual) = (vec![0.0; p], 0.0);
     for (row, &e) in e.iter().enumerate() {

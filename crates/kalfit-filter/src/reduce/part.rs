@@ -1,4 +1,4 @@
-//! Reduction of one phase of a test, from whichever evidence there is of it.
+//! Reduction of one phase of a test, from rows, estimates or a given reduction.
 
 use std::borrow::Cow;
 
@@ -23,7 +23,7 @@ pub(crate) struct PhasePosition {
     pub(crate) name: Option<String>,
     /// Number of states of the phase before; `None` for the first phase.
     pub(crate) before: Option<usize>,
-    /// Whether the model has a phase after it.
+    /// Whether the model has a next phase.
     pub(crate) followed: bool,
 }
 
@@ -32,11 +32,11 @@ pub(crate) struct PhasePosition {
 #[derive(Debug)]
 pub struct PhaseReducer {
     position: PhasePosition,
-    /// Reducer of rows of the phase, in its entering coordinates.
+    /// Reducer of rows of the phase, in entering coordinates.
     pub reducer: Reducer,
     /// Map by which the phase inherits from the phase before; `None` for the first phase.
     pub(crate) inheritance: Option<Inheritance>,
-    /// p: number of elements of the phase's ξ, the first of its coordinates.
+    /// p: number of elements of the phase's ξ, which are the first p entering coordinates.
     pub own: usize,
     /// Reducer of estimates of this phase.
     estimates: EstimateReducer,
@@ -45,7 +45,7 @@ pub struct PhaseReducer {
     sizes: Sizes,
 }
 
-/// Sizes that a reduction made before must have.
+/// Sizes that a given reduction of the phase must have.
 #[derive(Debug, Clone, Copy)]
 struct Sizes {
     /// Number of entering coordinates.
@@ -99,7 +99,7 @@ impl PhaseReducer {
         of_phase(self.position.name.as_deref(), error)
     }
 
-    /// The reducer with nothing frozen: it computes every step of every record in full.
+    /// The reducer that freezes no gains: every step of every record is computed in full.
     pub(crate) fn unfrozen(self) -> PhaseReducer {
         PhaseReducer { reducer: self.reducer.unfrozen(), ..self }
     }
@@ -145,7 +145,7 @@ impl PhaseReducer {
         self.reducer.reduce_to_end(rows, work)
     }
 
-    /// Completes the phase of a test from the reduction of its rows.
+    /// The reduced phase of a test, from `found`, the reduction of `rows`.
     pub(crate) fn complete<'a>(
         &'a self,
         rows: &Test,
@@ -177,7 +177,7 @@ impl PhaseReducer {
         if refused { Err(refuse(Some(id), WHOLE, ReduceErrorKind::ExactMeasurement)) } else { Ok(()) }
     }
 
-    /// The map by which a later phase with these rows inherits from the phase before.
+    /// The map by which a later phase inherits from the phase before, evaluated on `rows`.
     pub fn inherited(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
         self.inherited_from(rows, cells).map_err(|error| self.named(error))
     }
@@ -187,7 +187,8 @@ impl PhaseReducer {
         inheritance.of(&self.reducer.preparer().at(), rows, cells)
     }
 
-    /// A reduction made before, if it has the shape of this phase.
+    /// The given reduction `piece` of the phase; an error where a shape is not that of the phase. `linked`: the test
+    /// has a phase after this one.
     fn continue_reduction<'a>(
         &self,
         id: &str,
@@ -264,7 +265,7 @@ impl ReducedPhase<'_> {
         self.inherited.as_ref().expect("a later phase inherits")
     }
 
-    /// The last state of a phase that another follows.
+    /// The last state of a phase that another phase follows.
     pub(crate) fn last(&self) -> &Terminal {
         self.terminal.as_ref().expect("a phase that another follows has an end")
     }

@@ -1,4 +1,4 @@
-//! Reduces tests in phases: each phase by its filter, then all phases together (theory §7).
+//! Reduces tests in phases: first each phase by the filter of the phase, then all phases together (theory §7).
 
 mod batches;
 mod reduce;
@@ -27,8 +27,8 @@ pub use replicates::PhaseReplicates;
 
 /// Reduces the tests of a model in phases at α.
 ///
-/// Like a [`Reducer`], it caches what tests share from call to call; its results do not depend on that cache, on
-/// threads, on batches or on the order of the tests.
+/// A phased reducer, like a [`Reducer`], caches from call to call what tests share; results do not depend on that
+/// cache, on threads, on batches or on the order of the tests.
 #[derive(Debug)]
 pub struct PhasedReducer {
     phases: Vec<PhaseReducer>,
@@ -38,12 +38,12 @@ pub struct PhasedReducer {
     regressions: usize,
 }
 
-/// Work space for all passes over a test.
+/// Work space of all passes over a test in phases.
 #[derive(Debug)]
 pub struct PhasedWork {
     /// Work space of each phase.
     pub phases: Vec<Workspace>,
-    /// Scratch for the cells on which a carry is evaluated.
+    /// Work space for the cells on which the inheritance of a phase is evaluated.
     pub cells: GatheredCells,
 }
 
@@ -53,13 +53,15 @@ impl PhasedReducer {
         PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
     }
 
-    /// A reducer for scores: coefficients that depend on free values are retained even where they are zero at this α.
-    /// All design classes of all phases are kept, since the scores of linked phases need them again.
+    /// A reducer for scores: coefficients that depend on free values are retained even where such a coefficient is zero
+    /// at this α. All design classes of all phases are cached, since the scores of linked phases need the classes
+    /// again.
     pub fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
         PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots))
     }
 
-    /// A reducer as [`PhasedReducer::scoring`] makes it, for values that no backward pass follows.
+    /// A reducer that retains coefficients as [`PhasedReducer::scoring`] does, for values of ℓ that no backward pass
+    /// follows.
     pub fn passing(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
         PhasedReducer::made(model, alpha, &|model| Reducer::passing(model, alpha, slots))
     }
@@ -85,8 +87,8 @@ impl PhasedReducer {
         })
     }
 
-    /// The reducer with nothing frozen: it computes every step of every record in full, even where gains no longer
-    /// change. For comparison in tests and benchmarks.
+    /// The reducer that freezes no gains, for comparison in tests and benchmarks: every step of every record is
+    /// computed in full, even where gains no longer change.
     #[doc(hidden)]
     #[must_use]
     pub fn unfrozen(mut self) -> PhasedReducer {
@@ -94,7 +96,7 @@ impl PhasedReducer {
         self
     }
 
-    /// Reuses the known steps of the tests of each phase, and adds the steps that it finds to them.
+    /// Reuses `steps`, the known steps of the tests of each phase, and adds newly found steps.
     pub(crate) fn share_steps(&mut self, steps: &[Arc<KnownSteps>]) {
         for (phase, steps) in self.phases.iter_mut().zip(steps) {
             phase.reducer.share_steps(steps.clone());
@@ -133,7 +135,7 @@ impl PhasedReducer {
         Some((phase, tests.iter().map(rows).collect::<Option<_>>()?))
     }
 
-    /// The rows of phase `at` of a test, where the optimal filter reduces them.
+    /// The rows of phase `at` of a test, where the optimal filter reduces these rows; else `None`.
     pub(crate) fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
         match test.phases.get(at)? {
             Evidence::Rows(rows) if self.phases[at].is_optimal() => Some(rows),
@@ -141,7 +143,7 @@ impl PhasedReducer {
         }
     }
 
-    /// The phases of tests, each reduced separately in its entering coordinates.
+    /// The reduction of each phase of each test, in the entering coordinates of the phase.
     ///
     /// # Errors
     /// As [`PhasedReducer::reduce`].
@@ -149,7 +151,7 @@ impl PhasedReducer {
         self.each(tests, &|test, work| self.pieces_of(test, work))
     }
 
-    /// The phases of one test, as [`PhasedReducer::pieces`].
+    /// The reduction of each phase of one test, as from [`PhasedReducer::pieces`].
     pub fn pieces_of(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Vec<PhaseReduction>, ReduceError> {
         Ok(self.parts(test, Vec::new(), work, false)?.into_iter().map(ReducedPhase::into_piece).collect())
     }
@@ -192,7 +194,7 @@ impl PhasedReducer {
         }
     }
 
-    /// The phases of a test, each reduced separately. `found`: results of the optimal filters that have run already, by
+    /// The separately reduced phases of a test. `found`: results of the optimal filters that have run already, by
     /// phase; `designs`: no measured value is read.
     fn parts<'a>(
         &'a self,
@@ -209,7 +211,7 @@ impl PhasedReducer {
         test.phases.iter().enumerate().zip(found).map(part).collect()
     }
 
-    /// One phase of a test, given as (id of the test, phase, evidence).
+    /// The reduction of one phase of a test, given as (id of the test, index of the phase, evidence).
     fn part<'a>(
         &'a self,
         (id, at, evidence): (&str, usize, &'a Evidence),

@@ -48,21 +48,21 @@ impl StepMatrices {
         StepMatrices::new(DMatrix::zeros(0, n), DMatrix::zeros(0, 0), DVector::zeros(0))
     }
 
-    /// The step with φ and Q set.
+    /// The step with the given φ and Q.
     #[must_use]
     pub fn moving(mut self, transition: DMatrix<f64>, process_noise: DMatrix<f64>) -> StepMatrices {
         (self.transition, self.process_noise) = (Some(transition), Some(process_noise));
         self
     }
 
-    /// The step with b set.
+    /// The step with the given b.
     #[must_use]
     pub fn with_input(mut self, input: DVector<f64>) -> StepMatrices {
         self.input = Some(input);
         self
     }
 
-    /// The step with d set.
+    /// The step with the given d.
     #[must_use]
     pub fn with_constant(mut self, constant: DVector<f64>) -> StepMatrices {
         self.constant = constant;

@@ -34,7 +34,7 @@ impl Order {
         Order::of(&StateTraits { noisy, moving, driven }, test.sensitivity.transpose().as_slice(), p)
     }
 
-    /// φ and Q of a step in this order; `None` where nothing moves.
+    /// φ and Q of a step in kernel order; `None` where no state moves.
     pub(super) fn transition(&self, step: &StepMatrices) -> Option<Transition> {
         if step.transition.is_none() && step.process_noise.is_none() && step.input.is_none() {
             return None;

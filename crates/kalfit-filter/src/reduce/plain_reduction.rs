@@ -29,18 +29,19 @@ impl Plain {
         Ok(self.solve(false, false)?.0)
     }
 
-    /// The reduction of the test by square-root arrays, whether they are needed or not.
+    /// The reduction of the test by square-root arrays, even where plain covariances are accurate enough.
     pub fn reduce_square_root(&self) -> Result<Reduction, ReduceError> {
         Ok(self.solve(true, false)?.0)
     }
 
-    /// The reduction of the test, and the state after its last step.
+    /// (reduction of the test, state after the last step).
     pub fn reduce_with_terminal(&self) -> Result<(Reduction, Terminal), ReduceError> {
         let (reduction, terminal) = self.solve(false, true)?;
         Ok((reduction, terminal.expect("it was wanted")))
     }
 
-    /// The reduction, by square-root arrays if `square_root`, and the state after the last step if `ends`.
+    /// The reduction of the test and, if `ends`, the state after the last step. `square_root`: square-root arrays are
+    /// used even where plain covariances are accurate enough.
     fn solve(&self, square_root: bool, ends: bool) -> Result<(Reduction, Option<Terminal>), ReduceError> {
         self.check()?;
         let order = Order::of_matrices(self);

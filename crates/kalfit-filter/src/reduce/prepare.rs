@@ -1,4 +1,4 @@
-//! Evaluation of a test of a model: its design and its data.
+//! Evaluation of a test at α: the design and the data of the test.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -37,7 +37,7 @@ pub(crate) use replay::StartCells;
 pub use skeleton::Skeleton;
 use transition::LastMoves;
 
-/// Most bytes of transitions that are cached.
+/// Largest number of bytes of cached transitions.
 const TRANSITION_BYTES: usize = 16 << 20;
 
 /// A model at α, ready to evaluate tests.
@@ -50,9 +50,9 @@ pub struct Preparer {
     free: Vec<bool>,
     /// The motion of the model at α.
     pub dynamics: Dynamics,
-    /// The start of the model at α; its states are numbered as in the model.
+    /// The start of the model at α, with states numbered as in the model.
     pub start: ModelStart,
-    /// Permutation between the states of the model and those of the kernels.
+    /// Permutation between the model's order of states and the kernels' order.
     pub order: Order,
     /// How the entries of φ, Q and b follow from coefficients and flows.
     pub plan: MotionPlan,
@@ -75,7 +75,7 @@ pub struct Preparer {
     /// Mask of the cells that determine everything but measured values; `None` where whitening mixes values.
     pub(crate) cell_mask: Option<CellMask>,
     transitions: SharedStore<Vec<u64>, Result<Moves, Box<Fault>>>,
-    /// Steps found at other α; `None` where steps are not cached.
+    /// Steps of tests, found at other α; `None` where steps are not cached.
     pub(crate) steps: Option<Arc<KnownSteps>>,
     /// Number of transitions computed by matrix exponentials, for all tests.
     pub(crate) computed: AtomicU64,
@@ -91,7 +91,7 @@ struct StepRows {
     moves: bool,
 }
 
-/// One evaluated test, and the work space of all its passes.
+/// One evaluated test, and the work space of all passes over the test.
 #[derive(Debug)]
 pub struct Workspace {
     /// The design of the test.
@@ -102,17 +102,17 @@ pub struct Workspace {
     pub instances: Instances,
     /// Covariates of the test, one for each regression of the mean.
     pub covariates: Vec<f64>,
-    /// Noise covariances (i, j, value) between scalar measurements of the test, where they are collected instead of
-    /// whitened; `None` where measurements are whitened.
+    /// Noise covariances (i, j, value) between scalar measurements of the test, collected where measurements are not
+    /// whitened; else `None`.
     pub covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
-    /// Data pass of this test alone.
+    /// Work space of the data pass of this test alone.
     pub pass: DataWorkspace,
     /// Data of replicates, or of any tests in lanes.
     pub(crate) block: DataBlock,
     pub(crate) scratch: DataWorkspace,
     spans: Vec<StepSpan>,
-    /// Number of the first step of each span.
+    /// Index of the first step of each span.
     firsts: Vec<usize>,
     constants: Vec<f64>,
     whole: GatheredCells,
@@ -138,13 +138,13 @@ impl Preparer {
         Preparer::with_free(model, alpha, Vec::new())
     }
 
-    /// A preparer for derivatives: coefficients that depend on a free parameter are retained even where they are zero
-    /// at this α. `free`: whether each parameter is free.
+    /// A preparer for derivatives: coefficients that depend on a free parameter are retained even where such a
+    /// coefficient is zero at this α. `free`: whether each parameter is free.
     pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
         Preparer::made(model, alpha, free, false)
     }
 
-    /// A preparer of tests that each come with a law of their estimated states, as part of a and P0.
+    /// A preparer of tests each of which brings a law of the estimated states, as part of a and P0.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
         let mut preparer = Preparer::made(model, alpha, Vec::new(), true)?;
         preparer.order.frame = Arc::new(preparer.order.frame.without_unknowns());
@@ -324,8 +324,8 @@ impl Preparer {
         Ok(source)
     }
 
-    /// Takes the one-row steps that follow and equal the last step except for values, where only values are read from
-    /// the data. Returns the number of steps taken.
+    /// Appends the one-row steps that follow and equal the last step except for values, where only values are read from
+    /// the data. Returns the number of steps appended.
     fn repeat_values(&self, test: &Test, first: usize, most: usize, work: &mut Workspace) -> usize {
         let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
@@ -339,7 +339,7 @@ impl Preparer {
         many
     }
 
-    /// Whether the coefficients of a step are read from the row before it instead of its own rows.
+    /// Whether the coefficients of a step are read from the row before the step instead of the rows of the step.
     pub(crate) fn clock_previous(&self) -> bool {
         self.model.clock.previous_inputs
     }
@@ -357,8 +357,8 @@ impl Preparer {
         Ok(())
     }
 
-    /// Takes a step whose φ, Q, h, R are those of the step before. Returns false and changes nothing where it has other
-    /// measurements.
+    /// Appends a step whose φ, Q, h, R are those of the step before. Returns false and changes nothing where the step
+    /// has other measurements.
     fn repeat(
         &self,
         at: &ModelAt<'_>,
@@ -369,7 +369,7 @@ impl Preparer {
         let (driven, height) = (self.order.frame.driven.len(), moment.rows.len());
         let driven_on = !self.input_columns.is_empty();
         let fresh = driven_on && !self.input_columns.repeat(test, &moment.rows);
-        // the row before may be the first one with its cells, so that its inputs are new
+        // the row before may be the first row with such cells, so that the inputs are new
         let fresh_inputs = fresh || (driven_on && self.clock_previous());
         let inputs = work.data.inputs.len();
         if driven > 0 && moment.moves {

@@ -1,4 +1,4 @@
-//! Results of tests, in the order in which the tests are finished.
+//! Collects the results of tests, in the order in which the tests are finished.
 
 use crate::reduce::reducer::ReducedWithEnd;
 use crate::reduce::terminal::TerminalState;
@@ -8,13 +8,13 @@ use crate::reduce::{ReduceError, Reductions};
 #[derive(Debug, Default)]
 pub(crate) struct ReducedTests {
     pub(crate) reductions: Reductions,
-    /// Number of the test of each reduction.
+    /// Index of the test of each reduction.
     pub(crate) numbers: Vec<usize>,
     /// Last state of each test; empty where last states are not requested.
     pub(crate) terminals: Vec<TerminalState>,
-    /// Numbers of the tests that the scalar path must reduce one by one.
+    /// Indices of the tests that must be reduced one by one instead of in lanes.
     pub(crate) exceptional: Vec<usize>,
-    /// (number, error) of the tests in error.
+    /// (index of the test, error) for each test in error.
     pub(crate) faults: Vec<(usize, ReduceError)>,
 }
 
@@ -61,7 +61,7 @@ impl ReducedTests {
         }
     }
 
-    /// The result of each test, by number; `tests`: number of tests.
+    /// The result of each test, by index of the test. `tests`: number of tests.
     pub(crate) fn by_number(self, tests: usize) -> Vec<ReducedWithEnd> {
         let mut all: Vec<Option<ReducedWithEnd>> = (0..tests).map(|_| None).collect();
         let mut terminals = self.terminals.into_iter();

@@ -24,16 +24,17 @@ use kalfit_model::Reduction;
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Model, Slots};
 
-/// Most bytes of design classes that are cached: tests of one design share its covariance filter while the classes fit.
+/// Largest number of bytes of cached design classes: tests of one design share one run of the covariance filter while
+/// the classes fit.
 const CLASS_BYTES: usize = 256 << 20;
-/// Bytes of design classes beyond which a class is cached only when a second test has it.
+/// Bytes of cached design classes beyond which a class is cached only when a second test is of that class.
 const KEEP_ON_FIRST_USE_BYTES: usize = 256 << 10;
 
 /// Reduces the tests of a model at α.
 ///
-/// It caches transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.
-/// Reductions do not depend on the cache, on threads, on batches or on the order of the tests: they are the same bit
-/// for bit.
+/// A reducer caches transitions and design classes from call to call, so one reducer should serve all batches of an
+/// ensemble. Reductions do not depend on the cache, on threads, on batches or on the order of the tests: every bit is
+/// the same.
 #[derive(Debug)]
 pub struct Reducer {
     preparer: Preparer,
@@ -48,7 +49,7 @@ pub struct Reducer {
     data_runs: AtomicU64,
 }
 
-/// A reduction, and the last state of its test where that is requested.
+/// The reduction and, where last states are requested, the last state of a test.
 pub(crate) type ReducedWithEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
 
 /// The parts of a reduction that do not depend on measured values.
@@ -64,13 +65,13 @@ pub(crate) struct ReductionHeader<'a> {
 }
 
 impl<'a> ReductionHeader<'a> {
-    /// The header of the reduction of a test with these gains.
+    /// The header of the reduction of a test under `gains`.
     pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> ReductionHeader<'a> {
         let path = if gains.rotations.is_some() { Path::SquareRoot } else { Path::Information };
         ReductionHeader { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
     }
 
-    /// The reduction of a test with this outcome.
+    /// The reduction of `test` with `outcome`.
     fn reduction(self, test: &'a Test, outcome: &'a Outcome) -> ReductionRef<'a> {
         ReductionRef {
             test: &test.id,
@@ -92,13 +93,14 @@ impl<'a> ReductionHeader<'a> {
 /// Counts of the work that a reducer has done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Work {
-    /// Designs whose covariance filter was run.
+    /// Number of designs whose covariance filter was run.
     pub design_runs: u64,
-    /// Covariance filters run in square-root arrays; a design that is not cached may be run more than once.
+    /// Number of covariance filters that were run in square-root arrays; a design that is not cached may be run more
+    /// than once.
     pub root_runs: u64,
-    /// Data passes run: one for each test.
+    /// Number of data passes: one for each test.
     pub data_runs: u64,
-    /// Transitions computed by matrix exponentials: one for each length of step and set of coefficients.
+    /// Number of transitions computed by matrix exponentials: one for each length of step and set of coefficients.
     pub transitions: u64,
 }
 
@@ -109,29 +111,29 @@ impl Reducer {
         Ok(Reducer::of(preparer, SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES)))
     }
 
-    /// A reducer for scores: coefficients that depend on free values are retained even where they are zero at this α,
-    /// and every design class is cached for the backward pass.
+    /// A reducer for scores: coefficients that depend on free values are retained even where such a coefficient is zero
+    /// at this α, and every design class is cached for the backward pass.
     pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
         let paths = slots.free().contains(&true);
         Ok(Reducer { paths, ..Reducer::of(preparer, SharedStore::new(CLASS_BYTES)) })
     }
 
-    /// A reducer as [`Reducer::scoring`] makes it, for values that no backward pass follows: classes of single tests
-    /// are not cached.
+    /// A reducer that retains coefficients as [`Reducer::scoring`] does, for values of ℓ that no backward pass follows:
+    /// classes of single tests are not cached.
     pub(crate) fn passing(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES)))
     }
 
-    /// A reducer of tests that each come with a law of their estimated states, so that no state is unknown.
+    /// A reducer of tests each of which brings a law of the estimated states, so that no state is unknown.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES)))
     }
 
-    /// Reuses the known steps of the tests of one ensemble, and adds the steps that it finds to them. The reducer must
-    /// then reduce no other ensemble.
+    /// Reuses `steps`, the known steps of the tests of one ensemble, and adds newly found steps. The reducer must then
+    /// reduce no other ensemble.
     pub(crate) fn share_steps(&mut self, steps: Arc<KnownSteps>) {
         self.preparer.steps = Some(steps);
     }
@@ -154,8 +156,8 @@ impl Reducer {
         &self.preparer
     }
 
-    /// The reducer with nothing frozen: it computes every step of every record in full, even where gains no longer
-    /// change. For comparison in tests and benchmarks.
+    /// The reducer that freezes no gains, for comparison in tests and benchmarks: every step of every record is
+    /// computed in full, even where gains no longer change.
     #[doc(hidden)]
     #[must_use]
     pub fn unfrozen(mut self) -> Reducer {
@@ -163,7 +165,7 @@ impl Reducer {
         self
     }
 
-    /// The reducer with last states requested: it also returns the state after the last step of every test.
+    /// The reducer with last states requested: each reduction comes with the state after the last step of the test.
     #[must_use]
     pub(crate) fn with_ends(mut self) -> Reducer {
         self.ends = true;
@@ -175,17 +177,17 @@ impl Reducer {
         self.ends
     }
 
-    /// The last state of a test of a class, if it is requested. `x`: x̂ after the last step, in kernel order.
+    /// The last state of a test of a class, if last states are requested. `x`: x̂ after the last step, in kernel order.
     pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<TerminalState> {
         class.end().cloned().map(|end| TerminalState::new(end, &self.preparer.order.states, x))
     }
 
-    /// Whether nothing is frozen.
+    /// Whether no gains are frozen.
     pub(crate) fn is_unfrozen(&self) -> bool {
         self.unfrozen
     }
 
-    /// The reduction of a design, and its class: information and covariates as in [`Reducer::reduce_one`], from times,
+    /// The reduction and the class of a design: information and covariates as in [`Reducer::reduce_one`], from times,
     /// inputs and which values are missing. Measured values are not read; `data` and `constant` are zero.
     pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
         self.with_class(test, (work, false), |digest, gains, work| {
@@ -210,7 +212,7 @@ impl Reducer {
         }
     }
 
-    /// Work space for all passes.
+    /// Work space of all passes over a test.
     pub(crate) fn workspace(&self) -> Workspace {
         let mut work = self.preparer.workspace();
         work.gains.settling.off = self.unfrozen;
@@ -218,7 +220,8 @@ impl Reducer {
         work
     }
 
-    /// Evaluates a test into the work space, and calls `pass` with the gains of its design: for other passes over the data.
+    /// Evaluates a test into the work space, and calls `pass` with the gains of the test's design, for further passes
+    /// over the data.
     pub fn with_gains<T>(
         &self,
         test: &Test,
@@ -247,7 +250,7 @@ impl Reducer {
         Ok((work.design.clone(), work.data.clone(), work.covariates.clone()))
     }
 
-    /// The reduction of a test, and its class; x̂_K remains in the work space.
+    /// (reduction, design class) of a test; x̂_K remains in the work space.
     pub(crate) fn reduce_one(
         &self,
         test: &Test,
@@ -256,7 +259,7 @@ impl Reducer {
         self.with_class(test, (work, false), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
-    /// The reduction of a test, and its last state where that is requested.
+    /// The reduction and, where last states are requested, the last state of a test.
     pub(crate) fn reduce_to_end(&self, test: &Test, work: &mut Workspace) -> ReducedWithEnd {
         let (reduction, class) = self.reduce_one(test, work)?;
         Ok((reduction, self.ending(&class, work.pass.x.iter().copied())))
@@ -271,7 +274,7 @@ impl Reducer {
         self.with_class(test, (work, true), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
-    /// Evaluates a test, and reduces it under the gains of its class. `by_root`: the design is known to need
+    /// Evaluates a test, and calls `reduce` under the gains of the test's class. `by_root`: the design is known to need
     /// square-root arrays.
     fn with_class(
         &self,
@@ -288,8 +291,8 @@ impl Reducer {
         found.map_err(|fault| self.named(*fault, test))
     }
 
-    /// The gains of a class, or its fault. A noise that is zero at these free values but not at others makes no exact
-    /// rows but a fault: ℓ is maximised over values where that noise is positive.
+    /// The gains or the fault of a class. A noise that is zero at the current free values but positive at other values
+    /// makes no exact rows but a fault: ℓ is maximised over values where that noise is positive.
     fn valid_gains<'c>(
         &self,
         class: &'c DesignClass,
@@ -305,7 +308,7 @@ impl Reducer {
         }
     }
 
-    /// The reduction of the test in the work space under these gains.
+    /// The reduction of the test in the work space under given gains.
     fn reduce_prepared(
         &self,
         test: &Test,
@@ -323,7 +326,7 @@ impl Reducer {
         Ok(self.counted_reduction(test, &outcome, header).into())
     }
 
-    /// The reduction of a test; counts its data pass.
+    /// The reduction of a test, whose data pass is counted.
     pub(crate) fn counted_reduction<'a>(
         &self,
         test: &'a Test,
@@ -334,7 +337,7 @@ impl Reducer {
         header.reduction(test, outcome)
     }
 
-    /// The error of a fault of a test, with names.
+    /// The error made from a fault of a test, with names filled in.
     pub(crate) fn named(&self, fault: Fault, test: &Test) -> ReduceError {
         fault.name(&self.preparer.model, Some(test))
     }
@@ -346,7 +349,7 @@ impl Reducer {
         self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
     }
 
-    /// The design class of the test in the work space. `by_root`: its design is known to need square-root arrays.
+    /// The design class of the test in the work space. `by_root`: the design is known to need square-root arrays.
     pub(crate) fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
         let Workspace { design, gains, .. } = work;
         let states = self.ends.then_some(&*self.preparer.order.states);

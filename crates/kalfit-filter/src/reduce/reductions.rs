@@ -14,8 +14,8 @@ use kalfit_model::remote::Remote;
 use kalfit_model::{Reduction, ReductionRef};
 use kalfit_model::{SparseColumn, Texts};
 
-/// The [`Reduction`]s of tests, in their order, stored by column: the reductions of a million short tests take a few
-/// pieces of memory, which are read from front to back.
+/// The [`Reduction`]s of tests, in the order of the tests, stored by column: the reductions of a million short tests
+/// take a few pieces of memory, which are read from front to back.
 ///
 /// ```
 /// # mod kalfit { pub use {kalfit_filter::reduce::{self, Reductions}, kalfit_model::Reduction}; }
@@ -30,7 +30,7 @@ use kalfit_model::{SparseColumn, Texts};
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct Reductions {
-    /// Identity of these reductions, shared only with clones. It is assigned on the first request and reset by any
+    /// Number that identifies the reductions, shared only with clones: assigned on the first request, reset by any
     /// change.
     stamp: OnceLock<u64>,
     ids: Texts,
@@ -45,11 +45,11 @@ pub struct Reductions {
     designs: Vec<u128>,
     chains: SparseColumn<Box<Chain>>,
     exact: SparseColumn<Box<ExactRows>>,
-    /// Where the reductions are when none is stored here.
+    /// Place of reductions that are stored elsewhere; else `None`.
     remote: Option<Remote>,
 }
 
-/// What may change of one test.
+/// The parts of the reduction of one test that may be changed.
 pub struct ReductionMut<'a> {
     pub constant: &'a mut f64,
     pub residual: &'a mut Option<f64>,
@@ -60,17 +60,17 @@ pub struct ReductionMut<'a> {
 }
 
 impl Reductions {
-    /// No reductions.
+    /// An empty list of reductions.
     pub fn new() -> Reductions {
         Reductions::default()
     }
 
-    /// Reductions that are stored elsewhere: none is here, but sums over them can be requested.
+    /// Reductions that are stored elsewhere, of which only sums can be requested.
     pub fn elsewhere(remote: Remote) -> Reductions {
         Reductions { remote: Some(remote), ..Reductions::default() }
     }
 
-    /// Where the reductions are, when they are stored elsewhere.
+    /// Place of reductions that are stored elsewhere; else `None`.
     pub fn remote(&self) -> Option<&Remote> {
         self.remote.as_ref()
     }
@@ -85,10 +85,10 @@ impl Reductions {
         self.constants.is_empty()
     }
 
-    /// The test with this number.
+    /// The reduction of test `number`.
     ///
     /// # Panics
-    /// If there is no test with this number.
+    /// If `number` is not below the number of tests.
     pub fn get(&self, number: usize) -> ReductionRef<'_> {
         ReductionRef {
             test: self.id(number),
@@ -106,23 +106,23 @@ impl Reductions {
         }
     }
 
-    /// All tests, in their order.
+    /// The reductions of all tests, in order.
     pub fn iter(&self) -> Rows<'_> {
         Rows { of: self, numbers: 0..self.len() }
     }
 
-    /// All tests as a parallel iterator.
+    /// The reductions of all tests, as a parallel iterator.
     pub fn par_iter(&self) -> impl IndexedParallelIterator<Item = ReductionRef<'_>> {
         (0..self.len()).into_par_iter().map(|number| self.get(number))
     }
 
-    /// The tests with these numbers, in the order of the numbers.
+    /// The reductions of the tests with indices `numbers`, in the order of `numbers`.
     #[must_use]
     pub fn select(&self, numbers: &[usize]) -> Reductions {
         numbers.iter().map(|&number| self.get(number)).collect()
     }
 
-    /// The reductions sorted by `numbers`, the numbers of their tests.
+    /// The reductions sorted by `numbers`, the index of the test of each reduction.
     pub(crate) fn in_order(self, numbers: &[usize]) -> Reductions {
         if numbers.is_sorted() {
             return self;
@@ -132,13 +132,13 @@ impl Reductions {
         self.select(&places)
     }
 
-    /// Adds a test.
+    /// Appends the reduction of a test.
     pub fn push(&mut self, reduction: Reduction) {
         self.put(reduction.view());
         self.put_chain_and_exact(reduction.chain, reduction.exact);
     }
 
-    /// Adds all tests of `others`.
+    /// Appends all reductions of `others`.
     pub fn append(&mut self, mut others: Reductions) {
         if self.is_empty() {
             *self = others;
@@ -160,14 +160,15 @@ impl Reductions {
         self.designs.append(&mut others.designs);
     }
 
-    /// All tests of `parts`, one part after the other.
+    /// All reductions of `parts`, one part after the other.
     pub(crate) fn joined(parts: Vec<Reductions>) -> Reductions {
         let (mut all, tests) = (Reductions::new(), parts.iter().map(Reductions::len).sum());
         all.take(parts, tests);
         all
     }
 
-    /// Adds all tests of `others`, one after the other. `tests`: final number of tests, for which memory is reserved.
+    /// Appends all reductions of `others`, one list after the other. `tests`: final number of tests, for which memory
+    /// is reserved.
     pub(crate) fn take(&mut self, others: Vec<Reductions>, tests: usize) {
         let mut others = others.into_iter();
         if self.is_empty() {
@@ -184,13 +185,14 @@ impl Reductions {
         others.for_each(|part| self.append(part));
     }
 
-    /// A number that identifies these reductions: clones have the same number, all others have different ones.
+    /// A number that identifies the reductions: clones have the same number, all other reductions have different
+    /// numbers.
     pub fn stamp(&self) -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         *self.stamp.get_or_init(|| NEXT.fetch_add(1, Ordering::Relaxed))
     }
 
-    /// c' of a test.
+    /// c' = c + ½ d'd of a test.
     pub fn constant(&self, number: usize) -> f64 {
         self.constants[number]
     }
@@ -210,7 +212,7 @@ impl Reductions {
         &self.steps
     }
 
-    /// Number of scalar measurements of each test that were used.
+    /// Number of scalar measurements used, for each test.
     pub fn observations(&self) -> &[usize] {
         &self.observations
     }
@@ -220,12 +222,12 @@ impl Reductions {
         &self.designs
     }
 
-    /// The residual sum of squares of a test, if it is known, and the number of its scalar measurements.
+    /// (residual sum of squares, number of scalar measurements) of a test; `None` where the sum is unknown.
     pub fn residual(&self, number: usize) -> (Option<f64>, usize) {
         (self.residuals[number], self.observations[number])
     }
 
-    /// d of a test.
+    /// d of a test, p numbers.
     pub fn data(&self, number: usize) -> &[f64] {
         self.data.row(number)
     }
@@ -235,7 +237,7 @@ impl Reductions {
         self.ids.get(number)
     }
 
-    /// R of a test.
+    /// R of a test, p × p, packed by columns.
     pub fn factor(&self, number: usize) -> &[f64] {
         self.factors.row(number)
     }
@@ -255,12 +257,12 @@ impl Reductions {
         self.exact.get(number).map(Box::as_ref)
     }
 
-    /// Whether any test measured something exactly.
+    /// Whether any test has exact rows Cξ = g.
     pub fn has_exact(&self) -> bool {
         self.exact.has_any()
     }
 
-    /// The test with this number, to be changed.
+    /// The reduction of test `number`, to be changed.
     pub fn get_mut(&mut self, number: usize) -> ReductionMut<'_> {
         self.stamp.take();
         ReductionMut {
@@ -273,7 +275,7 @@ impl Reductions {
         }
     }
 
-    /// The same tests with only the covariates at `places`.
+    /// The reductions with only the covariates at `places`.
     #[must_use]
     pub fn with_covariates(mut self, places: &[usize]) -> Reductions {
         self.stamp.take();
@@ -285,7 +287,7 @@ impl Reductions {
         self
     }
 
-    /// Adds a test without its chain and its exact rows.
+    /// Appends a reduction without chain and exact rows.
     pub(super) fn put(&mut self, one: ReductionRef<'_>) {
         self.stamp.take();
         let number = self.len();
@@ -309,7 +311,7 @@ impl Reductions {
     }
 }
 
-/// The tests of [`Reductions`], one after the other.
+/// Iterator over the reductions of [`Reductions`].
 #[derive(Debug, Clone)]
 pub struct Rows<'a> {
     of: &'a Reductions,

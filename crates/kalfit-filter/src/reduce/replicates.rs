@@ -1,4 +1,4 @@
-//! Replicates among tests: tests that differ only in what was measured.
+//! Replicates among tests: tests that differ only in measured values and covariates.
 
 use rayon::prelude::*;
 
@@ -8,23 +8,24 @@ use kalfit_model::Test;
 /// Number of adjacent tests that are compared as one task.
 const TESTS_PER_TASK: usize = 256;
 
-/// Fewest successive tests whose sets are reduced together, chosen so that their cells stay in the caches.
+/// Fewest successive tests whose sets are reduced together, so few that the cells of the tests stay in the caches.
 const LEAST_LIST_TESTS: usize = 1 << 11;
-/// Fewest successive tests reduced together, per set of replicates: one test of each set is evaluated for each list.
+/// Fewest successive tests that are reduced together, per set of replicates: one test of each set is evaluated for each
+/// list.
 const LEAST_TESTS_PER_SET: usize = 64;
 
-/// Some tests of an ensemble, by number, each in a set of replicates or alone. The sets depend only on the cells of the
+/// Some tests of an ensemble, by index, each in a set of replicates or alone. The sets depend only on the cells of the
 /// tests.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Replicates {
-    /// Sets of two tests or more, ascending; in the order of their first tests.
+    /// Sets of two or more test indices, each set ascending; the sets are in the order of first tests.
     pub(crate) sets: Vec<Vec<usize>>,
-    /// Tests that are in no set, ascending.
+    /// Indices of the tests that are in no set, ascending.
     pub(crate) alone: Vec<usize>,
 }
 
 impl Replicates {
-    /// All of `tests` tests alone.
+    /// `tests` tests, none of which is in a set.
     pub(crate) fn none(tests: usize) -> Replicates {
         Replicates { sets: Vec::new(), alone: (0..tests).collect() }
     }
@@ -35,7 +36,7 @@ impl Replicates {
         let Some(mask) = mask else { return Replicates::none(tests.len()) };
         let mut firsts = neighbours(mask, tests);
         let mut left: Vec<usize> = (0..tests.len()).filter(|&number| firsts[number] == number).collect();
-        // tests with per-test designs mostly differ in their first rows
+        // tests with per-test designs mostly differ in the first rows
         let mut whole = false;
         while left.len() > 1 {
             let mut hashes: Vec<(u64, usize)> =
@@ -52,12 +53,13 @@ impl Replicates {
             left.iter().for_each(|&number| firsts[number] = number);
             whole = true;
         }
-        // a test that equals its neighbour joins the set of that neighbour
+        // a test that equals the test before joins the set of that test
         (0..tests.len()).for_each(|number| firsts[number] = firsts[firsts[number]]);
         Replicates::from_firsts(&firsts)
     }
 
-    /// The sets given by the first test that each test equals, which may be the test itself.
+    /// The sets of tests with equal entries in `firsts`: the index of the first test that each test equals, possibly
+    /// the test itself.
     pub(crate) fn from_firsts(firsts: &[usize]) -> Replicates {
         let (mut sizes, mut places) = (vec![0; firsts.len()], vec![0; firsts.len()]);
         firsts.iter().for_each(|&first| sizes[first] += 1);
@@ -81,12 +83,12 @@ impl Replicates {
         self.alone.len() + self.sets.iter().map(Vec::len).sum::<usize>()
     }
 
-    /// The sets without the tests whose numbers are marked.
+    /// The sets without each test i with `marked[i]`.
     pub(crate) fn without(self, marked: &[bool]) -> Replicates {
         self.regrouped(|number| !marked[number], |set| set.len() > 1)
     }
 
-    /// Keeps the sets for which `is_kept` is true; the tests of other sets become alone.
+    /// Dissolves each set for which `is_kept` is false: the tests of such a set are then in no set.
     pub(crate) fn retain(self, is_kept: impl Fn(&[usize]) -> bool) -> Replicates {
         self.regrouped(|_| true, is_kept)
     }
@@ -120,8 +122,8 @@ impl Replicates {
     }
 }
 
-/// The first test that each test equals, as far as comparisons of adjacent tests show: tests of one design are often
-/// adjacent.
+/// Index of the first test that each test equals, as far as comparisons of adjacent tests show: tests of one design are
+/// often adjacent.
 fn neighbours(mask: &CellMask, tests: &[&Test]) -> Vec<usize> {
     let mut firsts: Vec<usize> = (0..tests.len()).collect();
     firsts.par_chunks_mut(TESTS_PER_TASK).for_each(|some| {

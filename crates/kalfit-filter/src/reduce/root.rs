@@ -1,7 +1,7 @@
 //! The design pass in square-root arrays, for designs on which plain covariance and information arithmetic loses
 //! digits.
 //!
-//! P = U'U is represented by its root, measurements update it by plane rotations (Carlson's update), and whitened rows
+//! P = U'U is represented by the root U, measurements update U by plane rotations (Carlson's update), and whitened rows
 //! T/√S are folded into R (Bierman 1977, ch. V), so no digits cancel however singular P or J are.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, K, T, S, U with U'U = P, R with R'R = J")]
 
@@ -16,13 +16,13 @@ use crate::reduce::semidefinite::{NotSemidefinite, root};
 use crate::reduce::terminal::TerminalRoot;
 use kalfit_algebra::fold::{Rotation, fold, fold_row, norm};
 
-/// A noise-free measurement counts as known already when its prior standard deviation is at most this fraction of that
-/// without measurements.
+/// Largest ratio, of the prior standard deviation of a noise-free measurement to the standard deviation before any
+/// measurement, at which the measurement counts as known already.
 const KNOWN_FRACTION: f64 = 1e-12;
 /// A diagonal entry of R up to this fraction of the norm of its column counts as zero information.
 pub(crate) const UNINFORMED: f64 = 1e-13;
 
-/// Why a design pass in square-root arrays fails.
+/// Reason why a design pass in square-root arrays fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum RootError {
     /// P0 or some Q is not positive semidefinite.
@@ -39,7 +39,7 @@ struct RootFilter<'a> {
     U: Vec<f64>,
     /// Ψ, n × p, row-major.
     Psi: Vec<f64>,
-    /// P and Ψ as they would be without measurements: the scale on which a number counts as zero.
+    /// P, r × r, and Ψ, n × p, propagated without measurements: the scale on which a number counts as zero.
     unmeasured_P: Vec<f64>,
     unmeasured_Psi: Vec<f64>,
     /// R, p × p, row-major.
@@ -204,7 +204,8 @@ impl<'a> RootFilter<'a> {
         rho
     }
 
-    /// Size of the terms of each entry of T: with Ψ as it is, and with Ψ as it would be without measurements.
+    /// Σ |h_i| (|Ψ_ic| + |Ψ⁰_ic|) for each entry c of T, with Ψ⁰ propagated without measurements: the size of the
+    /// entry's terms.
     fn terms(&self, states: &[u32], h: &[f64]) -> Vec<f64> {
         let p = self.frame.p;
         let size = |at: usize| self.Psi[at].abs() + self.unmeasured_Psi[at].abs();
@@ -213,9 +214,9 @@ impl<'a> RootFilter<'a> {
     }
 }
 
-/// Sets negligible information to none: that of directions whose diagonal entry is at most `part` times the norm of its
-/// column. The rest of their rows of R is rotated into the rows below, and their data go to the residual. Shape: `R` p
-/// × p, row-major, upper triangular.
+/// Sets negligible information to zero: each diagonal entry of R that is at most `part` times the norm of the column.
+/// The rest of the row is rotated into the rows below, and the data of the row go to the residual. Shape: `R` p × p,
+/// row-major, upper triangular.
 pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RankOperation>) {
     let column = |k: usize| -> Vec<f64> { (0..=k).map(|i| R[i * p + k]).collect() };
     let norms: Vec<f64> = (0..p).map(|k| norm(&column(k))).collect();

@@ -7,7 +7,7 @@ use crate::reduce::equal_steps::MAX_UNSCANNED_STEPS;
 use crate::reduce::gains::{GainSpan, Gains};
 use kalfit_lanes::{Lanes, Part, Real};
 
-/// Number of steps whose terms are summed before they are added to the total: rounding then grows with the number of
+/// Number of steps whose terms are summed before the sum is added to the total: rounding then grows with the number of
 /// blocks, not of steps.
 pub(crate) const STEPS_PER_SUM: usize = 512;
 
@@ -25,13 +25,13 @@ pub(crate) struct InvariantStep<T, const N: usize> {
     d: T,
 }
 
-/// Forward pass over the steps of a stretch, for one test or for tests in lanes that share its gains.
+/// Forward pass over the steps of a stretch, for one test or for tests in lanes that share the gains of the stretch.
 pub(crate) struct Scan<'a, T> {
     pub(crate) design: &'a Design,
     pub(crate) stretch: &'a Stretch<'a>,
     /// The gains, and the piece that contains the first row of the stretch.
     pub(crate) gains: (&'a Gains, &'a GainSpan),
-    /// x̂ before the steps, then after them.
+    /// x̂ before the steps, overwritten by x̂ after the steps.
     pub(crate) x: &'a mut [T],
     /// z - d of each step, overwritten by e; numbers of tests in lanes are interleaved.
     pub(crate) e: &'a mut [f64],
@@ -68,7 +68,7 @@ pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
     design.moving_in_equal_steps(stretch, MAX_UNSCANNED_STEPS).filter(|&states| states <= MOST_MOVING)
 }
 
-/// [`Scan`] with `N` moving states.
+/// A [`Scan`] compiled for `N` moving states.
 pub(crate) struct ScanKernel<'a, T, const N: usize>(pub(crate) Scan<'a, T>);
 
 impl<T: Lanes> Scan<'_, T> {
@@ -114,7 +114,7 @@ impl<T: Lanes, const N: usize> Part for ScanKernel<'_, T, N> {
 }
 
 impl<T: Real, const N: usize> InvariantStep<T, N> {
-    /// The step of a stretch. `x`: x̂ before the stretch.
+    /// The step that a stretch repeats. `x`: x̂ before the stretch.
     #[inline(always)]
     pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[T]) -> InvariantStep<T, N> {
         let zero = T::splat(0.0);
@@ -176,7 +176,7 @@ impl<T: Real, const N: usize> InvariantStep<T, N> {
         next
     }
 
-    /// Returns e, and updates x.
+    /// x ← φx + c + Ke; returns e.
     #[inline(always)]
     fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
         let e = self.innovation(x, z);

@@ -9,21 +9,21 @@ use crate::reduce::moment_path::MomentPath;
 use crate::reduce::settling::SteadyStateMonitor;
 use crate::reduce::sums::InformationSums;
 
-/// Result of a design pass, before it is finished.
+/// Unfinished result of a design pass: gains, and sums over rows.
 #[derive(Debug, Clone)]
 pub(crate) struct GainSchedule {
-    /// (1/S, K) of measurements; `gains`, `sensitivities`, `pieces` and `paths` are those of [`Gains`].
+    /// (1/S, K) of measurements; `gains`, `sensitivities`, `pieces` and `paths` become the fields of [`Gains`].
     pub(crate) gains: Vec<f64>,
     pub(crate) sensitivities: Vec<f64>,
     pub(super) pieces: Vec<GainSpan>,
     pub(crate) sums: InformationSums,
-    /// (S, number of rows) of rows whose S is not in the sums' Π S.
+    /// (S, number of rows) for rows whose S is not in Π S of `sums`.
     pub(super) many: Vec<(f64, usize)>,
     pub(super) paths: Vec<MomentPath>,
 }
 
-/// Work space of the design pass. P and Ψ are those at the last look for a steady state and, after the pass, those of
-/// the last step, even where they no longer changed.
+/// Work space of the design pass. P and Ψ are the moments at the last look for a steady state and, after the pass, the
+/// moments after the last step, even where P and Ψ no longer changed.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GainsWork {
     pub(crate) P: Vec<f64>,

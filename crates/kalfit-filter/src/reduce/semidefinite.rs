@@ -1,10 +1,10 @@
 //! Factors of positive semidefinite matrices that may be singular.
 
-/// A pivot below minus this fraction of its variance is negative beyond rounding.
+/// A pivot below minus this fraction of the variance a_jj is negative beyond rounding.
 const NEGATIVE_PIVOT: f64 = 1e-12;
-/// A pivot up to this fraction of its variance counts as zero.
+/// A pivot up to this fraction of the variance a_jj counts as zero.
 const ZERO_PIVOT: f64 = 1e-14;
-/// Largest covariance that a zero pivot allows, as a fraction of the product of the standard deviations: √[`NEGATIVE_PIVOT`].
+/// Largest covariance at a zero pivot, as a fraction of the product of the standard deviations: √[`NEGATIVE_PIVOT`].
 const ZERO_PIVOT_CORRELATION: f64 = 1e-6;
 
 /// The matrix is not positive semidefinite.
@@ -65,7 +65,7 @@ pub(crate) fn information_root(j: &[f64], p: usize, zero: f64) -> (Vec<f64>, f64
     (root, least)
 }
 
-/// As `information_root`, but writes R to `root` in place of its contents, and returns the least pivot.
+/// As `information_root`, but writes R to `root` in place of the old contents, and returns the least pivot.
 pub(crate) fn information_root_to(root: &mut Vec<f64>, j: &[f64], p: usize, zero: f64) -> f64 {
     let at = |i: usize, k: usize| i + k * (k + 1) / 2;
     root.clear();

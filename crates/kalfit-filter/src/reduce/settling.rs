@@ -5,39 +5,40 @@
 const WINDOW: usize = 32;
 /// Divisor of the number of steps so far that gives the number of steps to the next look.
 const LOOK_DIVISOR: usize = 4;
-/// Relative change that counts as none over a window of w steps: w × CREEP, but at least LEAST and at most MOST.
+/// Relative change that counts as none over a window of w steps: w × CHANGE_PER_STEP, but at least LEAST_CHANGE and at
+/// most MOST_CHANGE.
 const CHANGE_PER_STEP: f64 = 1e-17;
 const LEAST_CHANGE: f64 = 1e-15;
 const MOST_CHANGE: f64 = 1e-13;
-/// A sensitivity below this fraction of its largest magnitude so far is compared on the scale of that fraction.
+/// An entry of Ψ below this fraction of the entry's largest magnitude so far is compared on the scale of that fraction.
 const FADED_FRACTION: f64 = 1e-3;
 
 /// Which quantities have stopped changing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SteadyState {
     Nothing,
-    /// P, and with it S and K.
+    /// P, S and K.
     Gains,
-    /// P and Ψ, and with them S, K and T.
+    /// P, Ψ, S, K and T.
     All,
 }
 
 /// Compares P and Ψ at looks that become rarer as steps go on.
 ///
 /// P converges like λ^k, and the windows between looks grow with k: after a window without change, the change still to
-/// come is far less than the rounding in that window, however slow the filter is. (A change over one step would not
-/// show this: it is small in slow filters too.) Slow growth, such as that of the variance of a state that is never
-/// measured, is neglected up to 1e-17 of its value per step: 1e-11 over 10⁶ steps. Without noise P falls like 1/k, by a
-/// fifth over any window, and is never frozen.
+/// come is far less than the rounding in that window, however slow the filter is. (A small change over one step would
+/// not show this: slow filters, too, change little in one step.) Slow growth, such as that of the variance of a state
+/// that is never measured, is neglected up to 1e-17 of the value per step: 1e-11 over 10⁶ steps. Without noise P falls
+/// like 1/k, by a fifth over any window, and is never frozen.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct SteadyStateMonitor {
-    /// Whether nothing is ever frozen.
+    /// Whether P and Ψ are never frozen.
     pub(crate) off: bool,
     P: Vec<f64>,
     Psi: Vec<f64>,
     /// Largest magnitude of each entry of Ψ at the looks so far.
     peaks: Vec<f64>,
-    /// Steps after which the last look was and the next look is due.
+    /// Number of steps at the last look; `next`: number of steps at which the next look is due.
     last: usize,
     next: usize,
 }
@@ -49,7 +50,7 @@ impl SteadyStateMonitor {
         self.peaks.extend(Psi.iter().map(|x| x.abs()));
     }
 
-    /// Begins a stretch of `count` equal steps. False where there are too few to look at.
+    /// Begins a stretch of `count` equal steps. False where the steps are too few for a look.
     pub(crate) fn begin(&mut self, count: usize) -> bool {
         (self.last, self.next) = (0, 1);
         !self.off && count > 2 * WINDOW

@@ -5,8 +5,8 @@ use std::hash::{BuildHasherDefault, Hasher};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// A store of values by key, bounded in bytes. A full store keeps its entries and adds no others; the values it returns
-/// do not depend on that.
+/// A store of values by key, bounded in bytes. A full store adds no entries; returned values do not depend on how full
+/// the store is.
 #[derive(Debug)]
 pub(crate) struct SharedStore<K, V> {
     shards: Vec<Mutex<StoreShard<K, V>>>,
@@ -21,7 +21,7 @@ struct StoreShard<K, V> {
     entries: HashMap<u128, Arc<StoreEntry<K, V>>, DigestHasher>,
     /// Upper halves of digests that were requested once.
     requested: HashSet<u64, DigestHasher>,
-    /// Upper halves of digests that [`SharedStore::is_new`] was given.
+    /// Upper halves of digests that were passed to [`SharedStore::is_new`].
     seen: HashSet<u64, DigestHasher>,
 }
 
@@ -34,7 +34,7 @@ impl<K, V> Default for StoreShard<K, V> {
 /// A hasher for digests, which are mixed already.
 type DigestHasher = BuildHasherDefault<UpperHalf>;
 
-/// The upper half of a digest: the lower one selects the shard.
+/// The upper half of a digest: the lower half selects the shard.
 #[derive(Debug, Default)]
 struct UpperHalf(u64);
 
@@ -61,7 +61,7 @@ fn upper_half(digest: u128) -> u64 {
     (digest >> 64) as u64
 }
 
-/// Most digests that a shard remembers in each of its sets.
+/// Largest number of digests in each set of a shard.
 const MOST_REMEMBERED: usize = 1 << 15;
 
 impl<K, V> StoreShard<K, V> {
@@ -93,13 +93,13 @@ impl<K, V> StoreEntry<K, V> {
 }
 
 impl<K, V> SharedStore<K, V> {
-    /// A store that keeps all values up to its limit.
+    /// A store of all values, up to `limit` bytes.
     pub(crate) fn new(limit: usize) -> SharedStore<K, V> {
         SharedStore::with_second_use_policy(limit, limit)
     }
 
-    /// A store that, beyond `first_use_bytes` bytes, keeps only values requested a second time: where most values are used once,
-    /// it keeps the others and does not fill memory.
+    /// A store that, beyond `first_use_bytes` bytes, adds only values requested a second time, so that values used once
+    /// do not fill memory.
     pub(crate) fn with_second_use_policy(limit: usize, first_use_bytes: usize) -> SharedStore<K, V> {
         SharedStore {
             shards: (0..16).map(|_| Mutex::default()).collect(),
@@ -109,8 +109,8 @@ impl<K, V> SharedStore<K, V> {
         }
     }
 
-    /// True where this function was not given the digest before, whether or not its key is stored. A shard forgets all
-    /// digests when it has [`MOST_REMEMBERED`] of them.
+    /// True at the first call with a digest, whether or not a key of that digest is stored. A shard forgets all digests
+    /// when it remembers [`MOST_REMEMBERED`] digests.
     pub(crate) fn is_new(&self, digest: u128) -> bool {
         remember(&mut self.shard(digest).seen, digest)
     }
@@ -120,7 +120,7 @@ impl<K, V> SharedStore<K, V> {
     }
 
     /// The entry of a key, computed if it is not stored. `same` compares a stored key of the same digest with the
-    /// requested one; `size` returns the bytes of a key and its value together.
+    /// requested one; `size` returns the bytes of key plus value.
     pub(crate) fn get(
         &self,
         digest: u128,

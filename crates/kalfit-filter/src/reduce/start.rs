@@ -16,7 +16,7 @@ pub(crate) use backward::{LawAdjoint, StartAdjoint};
 /// The start of a model. States are numbered as in the model.
 #[derive(Debug, Clone, Default)]
 pub struct ModelStart {
-    /// (state, offset) of each state with a known offset, which is added to its mean.
+    /// (state, offset) of each state with a known offset, which is added to the mean of the state.
     offsets: Vec<(usize, Coefficient)>,
     /// (state, mean, variance) of each state with a known start.
     known: Vec<(usize, Coefficient, Coefficient)>,
@@ -33,7 +33,7 @@ pub struct ModelStart {
     pub(crate) fixed: bool,
 }
 
-/// Stationary states that depend on each other. Indices i, j count within the group; slots are those of the dynamics'
+/// Stationary states that depend on each other. Indices i, j count within the group; slots refer to the dynamics'
 /// tables.
 #[derive(Debug, Clone)]
 struct StationaryGroup {
@@ -123,7 +123,7 @@ impl ModelStart {
     }
 
     /// Whether the law needs this slot of the dynamics' coefficients. Coefficients of other states are not evaluated
-    /// for it: their cells may be empty on a first row to which no step leads.
+    /// for the law: the cells of such coefficients may be empty on a first row to which no step leads.
     pub(crate) fn needs(&self, slot: usize) -> bool {
         let of = |terms: &[(usize, usize, usize)]| terms.iter().any(|term| term.2 == slot);
         self.groups.iter().any(|group| of(&group.motion) || of(&group.noise))
@@ -177,7 +177,7 @@ impl ModelStart {
     }
 }
 
-/// The groups of stationary states, which must depend on each other alone.
+/// The groups of stationary states; the states of a group must depend on no other states.
 fn groups(
     at: &ModelAt<'_>,
     dynamics: &Dynamics,

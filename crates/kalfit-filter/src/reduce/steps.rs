@@ -13,7 +13,7 @@ pub(crate) struct StepSpan {
     pub(crate) rows: Range<usize>,
     /// Number of steps.
     pub(crate) count: usize,
-    /// Length of each step; the first step of a test begins at the time of x_0, and its length is NaN where that is
+    /// Length of each step. The first step of a test begins at the time of x_0; the length is NaN where that time is
     /// unknown.
     pub(crate) dt: f64,
     /// Whether a transition leads to each step.
@@ -37,14 +37,14 @@ impl StepSpan {
     }
 }
 
-/// Largest error of a step's length due to rounded times, as a fraction of the larger of its two times.
+/// Largest error of a step's length due to rounded times, as a fraction of max(|start|, |end|) of the step.
 const TIME_ROUNDING: f64 = 2.0 * f64::EPSILON;
 /// Largest rounding error, as a fraction of a step's length, at which unequal lengths may count as equal.
 const MOST_RELATIVE_ROUNDING: f64 = 1e-3;
 /// Least mean length of steps, in units in the last place of the times, that is accurate enough to be used.
 const LEAST_STEP_UNITS: f64 = 16.0;
 
-/// Steps that are equal to within the rounding of the times: one length lies within the bounds of all of them.
+/// Steps that are equal to within the rounding of the times: one length is within the bounds of all steps.
 #[derive(Debug, Clone, Copy)]
 struct Uniform {
     /// Time at which the first step begins.
@@ -68,7 +68,7 @@ impl Uniform {
         Uniform { start, last: time, dt, exact: true, least: dt - slack, most: dt + slack, count: 1, span }
     }
 
-    /// Takes one more step, if it is equal to the others; returns whether it is.
+    /// Adds the step that ends at `time`, if the length can be the common length; returns whether the step was added.
     fn take(&mut self, time: f64) -> bool {
         let (dt, slack) = (time - self.last, slack(self.last, time));
         let (least, most) = (self.least.max(dt - slack), self.most.min(dt + slack));
@@ -81,13 +81,13 @@ impl Uniform {
         true
     }
 
-    /// The common length of the steps: their mean, so that they add up to the whole time.
+    /// The common length of the steps: the mean length, so that the steps add up to the whole time.
     fn length(&self) -> f64 {
         if self.exact { self.dt } else { (self.last - self.start) / self.count as f64 }
     }
 }
 
-/// Bound on the error of a step's length due to rounded times; 0 where that is no small fraction of the length.
+/// Bound on the error of a step's length due to rounded times; 0 where the bound is no small fraction of the length.
 fn slack(start: f64, end: f64) -> f64 {
     let slack = TIME_ROUNDING * start.abs().max(end.abs());
     if slack <= MOST_RELATIVE_ROUNDING * (end - start) { slack } else { 0.0 }
@@ -95,8 +95,8 @@ fn slack(start: f64, end: f64) -> f64 {
 
 /// Writes the steps of a test to `out`; `initial` is the time of x_0.
 ///
-/// Times are written as decimals or computed as sums, so steps of one length differ in their last digits: lengths that
-/// could be equal are made equal, and all others stay as they are.
+/// Times are written as decimals or computed as sums, so steps of one length differ in the last digits: lengths that
+/// could be equal are made equal, and all other lengths stay as they are.
 pub(crate) fn spans(
     at: &ModelAt<'_>,
     test: &Test,
@@ -140,7 +140,8 @@ pub(crate) fn spans(
     check_resolution(start, previous, steps)
 }
 
-/// Checks that times from `start` to `end` are accurate enough for the lengths of `steps` steps.
+/// Checks that doubles from `start` to `end` resolve `steps` steps: mean length ≥ [`LEAST_STEP_UNITS`] × ε ×
+/// max(|start|, |end|).
 fn check_resolution(start: f64, end: f64, steps: usize) -> Result<(), Box<Fault>> {
     let (step, grid) = ((end - start) / steps as f64, f64::EPSILON * start.abs().max(end.abs()));
     if steps == 0 || step >= LEAST_STEP_UNITS * grid {
@@ -161,7 +162,7 @@ fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uni
     out.push(StepSpan { rows, count: 1, dt: f64::NAN, moves: true });
 }
 
-/// Sets the length of equal steps to their common length.
+/// Sets the length of equal steps to the common length.
 fn set_common_length(uniform: Option<Uniform>, out: &mut [StepSpan]) {
     if let Some(uniform) = uniform {
         out[uniform.span..].iter_mut().for_each(|span| span.dt = uniform.length());

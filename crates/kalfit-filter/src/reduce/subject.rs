@@ -7,7 +7,7 @@ use kalfit_model::{Alpha, EvaluationError, Expression, Level, Model, Scope};
 /// [`Subject::Test`] in words.
 pub(crate) const WHOLE: &str = "the test";
 
-/// The quantity that is being computed, for error messages.
+/// The quantity whose computation fails, for error messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subject {
     /// Derivative of a state, by its number.
@@ -42,7 +42,7 @@ pub enum Subject {
     Offset(usize),
     /// Known covariance of the initial states.
     KnownCovariance,
-    /// What a state, by its number, inherits from the phase before.
+    /// Value that a state, by its number, inherits from the phase before.
     Carry(usize),
     /// Initial time.
     InitialTime,
@@ -102,7 +102,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// The error of a subject on no particular row.
+    /// The error of a subject, without a row.
     pub fn new(subject: Subject, kind: impl Into<ReduceErrorKind>) -> Box<Fault> {
         Box::new(Fault { subject, row: None, kind: kind.into() })
     }
@@ -112,7 +112,7 @@ impl Fault {
         self
     }
 
-    /// The error with the names of the model, and with the id and the source row of the test where one is given.
+    /// The error with the names of the model, and with id and source row where a test is given.
     pub fn name(self, model: &Model, test: Option<&Test>) -> ReduceError {
         ReduceError {
             test: test.map(|test| test.id.to_string()),
@@ -133,7 +133,7 @@ pub struct ModelAt<'a> {
 }
 
 impl ModelAt<'_> {
-    /// The coefficient given by an expression at α.
+    /// The coefficient that an expression gives at α.
     pub(crate) fn coefficient(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         if self.varies(expression) {
             return Ok(Coefficient::Varying(expression.clone(), subject));
@@ -166,7 +166,7 @@ impl ModelAt<'_> {
         found
     }
 
-    /// As [`ModelAt::coefficient`], for a variance, which must not be negative.
+    /// As [`ModelAt::coefficient`], for the expression of a variance, which must not be negative.
     pub(crate) fn variance(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         let coefficient = self.coefficient(expression, subject)?;
         if let Some(value) = coefficient.constant() {
@@ -175,7 +175,7 @@ impl ModelAt<'_> {
         Ok(coefficient)
     }
 
-    /// True when the value can differ from row to row.
+    /// True when the value of an expression can differ from row to row.
     fn varies(&self, expression: &Expression) -> bool {
         expression.any(&mut |part| match part {
             Expression::Column(_) | Expression::Step | Expression::TextEquals { .. } => true,
@@ -241,7 +241,7 @@ impl ModelAt<'_> {
         }
     }
 
-    /// Value of a coefficient that is a variance.
+    /// Value, on a row, of a coefficient that is a variance and must not be negative.
     #[inline]
     pub(crate) fn variance_value(&self, coefficient: &Coefficient, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
         let value = self.value(coefficient, scope)?;
@@ -263,11 +263,12 @@ fn not_negative(value: f64, subject: Subject) -> Result<(), Box<Fault>> {
 /// A coefficient of the model at α.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Coefficient {
-    /// The same on every row.
+    /// Value that is the same on every row.
     Fixed(f64),
-    /// The same on every row, and a function of free parameters: zero at this α need not be zero at the next α.
+    /// Value that is the same on every row and depends on free parameters: a value of zero at this α need not be zero
+    /// at the next α.
     Free(f64, Expression, Subject),
-    /// To be evaluated on each row.
+    /// Expression that is evaluated on each row.
     Varying(Expression, Subject),
 }
 
@@ -277,7 +278,7 @@ impl Coefficient {
         matches!(self, Coefficient::Fixed(value) if *value == 0.0)
     }
 
-    /// Its value, when that is the same on every row.
+    /// Value of the coefficient, where the value is the same on every row; else `None`.
     pub(crate) fn constant(&self) -> Option<f64> {
         match self {
             Coefficient::Fixed(value) | Coefficient::Free(value, ..) => Some(*value),
@@ -285,7 +286,7 @@ impl Coefficient {
         }
     }
 
-    /// Expression and subject of its value; `None` for a fixed value.
+    /// Expression and subject of the coefficient; `None` for a fixed value.
     pub(crate) fn source(&self) -> Option<(&Expression, Subject)> {
         match self {
             Coefficient::Fixed(_) => None,
@@ -341,7 +342,8 @@ impl Uses {
         });
     }
 
-    /// True when the cells in `rows` equal, bit for bit, those in the same number of rows before them.
+    /// True when the cells of these columns in `rows` equal, bit for bit, the cells in as many rows directly before
+    /// `rows`.
     #[inline]
     pub(crate) fn repeat(&self, test: &Test, rows: &std::ops::Range<usize>) -> bool {
         self.is_empty()
@@ -360,7 +362,7 @@ fn insert(columns: &mut Vec<usize>, column: usize) {
     }
 }
 
-/// True when the value of a coefficient is read from the data, other than by the levels of parameters.
+/// True when the value of a coefficient is read from the data, except for the levels of parameters.
 pub(crate) fn reads_data(coefficient: &Coefficient) -> bool {
     let Coefficient::Varying(expression, _) = coefficient else { return false };
     expression.any(&mut |part| matches!(part, Expression::Column(_) | Expression::Step | Expression::TextEquals { .. }))

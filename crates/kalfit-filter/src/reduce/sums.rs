@@ -1,4 +1,4 @@
-//! Sums of a design pass over its rows.
+//! Sums over the rows of a design pass.
 #![expect(non_snake_case, reason = "the letters of the theory: S, J")]
 
 use crate::reduce::semidefinite::information_root_to;
@@ -8,7 +8,7 @@ use kalfit_lanes::{Lanes, Real};
 /// Least scaled pivot of J at which sums of T'S⁻¹T are accurate enough.
 const LEAST_PIVOT: f64 = 1e-9;
 
-/// Sums of a design pass over its rows: J, Π S and the checks of their accuracy.
+/// Sums over the rows of a design pass: J, Π S, and two measures of accuracy (`margin`, `least`).
 #[derive(Debug, Clone)]
 pub(crate) struct InformationSums<R = f64> {
     /// J, packed by columns.
@@ -16,7 +16,7 @@ pub(crate) struct InformationSums<R = f64> {
     /// Π S = mantissa × 2^exponent.
     mantissa: R,
     exponent: R,
-    /// Smallest accuracy margin of the updates: negative where one of them cancelled too many digits.
+    /// Smallest accuracy margin of the updates: negative where an update cancelled too many digits.
     margin: R,
     /// Smallest S.
     least: R,
@@ -29,7 +29,7 @@ impl<R: Real> InformationSums<R> {
         InformationSums { J: vec![zero; pairs(p)], mantissa: one, exponent: zero, margin: one, least: one }
     }
 
-    /// Adds the S of a row to Π S, and the row's accuracy margin to the checks.
+    /// Multiplies Π S by the S of a row, and takes the row's accuracy margin into account.
     #[inline(always)]
     pub(crate) fn count(&mut self, S: R, margin: R) {
         self.margin = self.margin.minimum(margin);
@@ -59,7 +59,7 @@ impl<R: Lanes> InformationSums<R> {
 }
 
 impl InformationSums {
-    /// Replaces the sums by those of one lane, from the numbers of [`InformationSums::lanes`].
+    /// Replaces the sums by the sums of one lane, from the list of [`InformationSums::lanes`].
     pub(crate) fn take_lane(&mut self, all: &[f64], lane: usize, lanes: usize) {
         let entries = all.len() / lanes - 4;
         let at = |k: usize| all[k * lanes + lane];
@@ -74,7 +74,7 @@ impl InformationSums {
         self.root_in(Vec::new(), many)
     }
 
-    /// As `root`, with R written to the vector `root` in place of its contents.
+    /// As [`InformationSums::root`], with R written to the vector `root` in place of the old contents.
     pub(crate) fn root_in(&self, mut root: Vec<f64>, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
         let is_accurate = self.margin >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
         if !is_accurate || !self.mantissa.is_finite() {

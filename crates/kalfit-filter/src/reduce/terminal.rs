@@ -12,7 +12,7 @@ use crate::reduce::semidefinite::information_root;
 /// exactly the combination of states to which the pivot belongs.
 const LEAST_PIVOT: f64 = 1e-8;
 
-/// Ψ_K and a root of P_K, states in the order of the model: as far as the design decides it.
+/// The part of the last state that depends only on the design: Ψ_K and a root of P_K, states in the order of the model.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TerminalRoot {
     /// Ψ_K, n × p.
@@ -37,7 +37,7 @@ impl TerminalRoot {
         (least >= LEAST_PIVOT).then(|| TerminalRoot::of_root(states, Psi, r, U))
     }
 
-    /// The root without the rows of U that are zero.
+    /// The root from U, without rows of zeros of U.
     fn of_root(states: &[usize], Psi: &[f64], r: usize, U: impl Fn(usize, usize) -> f64) -> TerminalRoot {
         let (n, p) = (states.len(), Psi.len() / states.len().max(1));
         let is_kept = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
@@ -54,13 +54,13 @@ impl TerminalRoot {
         end
     }
 
-    /// Bytes of memory that its matrices occupy.
+    /// Bytes of memory that the matrices occupy.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.sensitivity.len() + self.root.len())
     }
 }
 
-/// The last state of a test; tests of one design share the part that does not depend on their data.
+/// The last state of a test; tests of one design share the part that does not depend on data.
 #[derive(Debug, Clone)]
 pub(crate) struct TerminalState {
     mean: DVector<f64>,
@@ -73,7 +73,7 @@ impl TerminalState {
         TerminalState { mean: in_model_order(states, x), root }
     }
 
-    /// The last state with its own copy of the shared part.
+    /// The last state with a copy of the shared part.
     pub(crate) fn terminal(self) -> Terminal {
         let TerminalRoot { sensitivity, root } = Arc::unwrap_or_clone(self.root);
         Terminal { mean: self.mean, sensitivity, root }

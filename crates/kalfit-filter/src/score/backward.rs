@@ -1,7 +1,8 @@
-//! The backward pass: adjoints of everything a test's likelihood depends on, from its last step to its first (theory §6).
+//! The backward pass: adjoints of all coefficients that the likelihood of a test depends on, from the last step of the
+//! test to the first (theory §6).
 //!
 //! ξ is not known but has the posterior mean x̂ and covariance V = CC'. The forward filter runs from x_0 = a + Ax̂, so
-//! that its innovations are ē = e - Tx̂ and its states x̄ = x̂_k + Ψx̂; the columns of C are propagated as
+//! that the innovations are ē = e - Tx̂ and the states x̄ = x̂_k + Ψx̂; the columns of C are propagated as
 //! sensitivities. Then
 //!
 //! ```text
@@ -16,16 +17,16 @@
 //! ```
 //!
 //! These lines apply from top to bottom, starting with the r, ρ, N of later steps, to one scalar measurement after the
-//! other, the last one first (in the line of ∂ℓ/∂φ, r and ρ are those before φ'r and φ'ρ); r, u, ρ, υ are the theory's
-//! r̄, ū, ρC, υC. After the last step r, ρ and N are zero, or the adjoints of the state there from later phases
+//! other, the last one first (the line of ∂ℓ/∂φ reads r and ρ before they become φ'r and φ'ρ); r, u, ρ, υ are the
+//! theory's r̄, ū, ρC, υC. After the last step r, ρ and N are zero, or the adjoints of the last state from later phases
 //! ([`TerminalAdjoint`]).
 //!
 //! Single steps on flat arrays are in `kernel`, `filtered` and `adjoint`, for one test and for lanes (`batch`).
 //!
 //! Of the forward filter only the innovations and the state at intervals are stored; the backward pass runs the filter
-//! again over the steps in between. Many equal steps go through kernels of fixed size (`equal_backward`), which sum
-//! their adjoints and stop updating N and ρ once these no longer change; P and Ψ before each of these steps are known
-//! from the design pass.
+//! again over the steps in between. Many equal steps go through kernels of fixed size (`equal_backward`), which sum the
+//! adjoints of the steps and stop updating N and ρ once N and ρ are constant; P and Ψ before each of the equal steps
+//! are known from the design pass.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
 mod adjoint;
@@ -94,8 +95,8 @@ impl BackwardInput<'_> {
         sink.started(&work.adjoint.r, &work.variance)
     }
 
-    /// The backward pass through steps one by one. `again`: the forward filter has moved on since, and is run over
-    /// these steps again.
+    /// The backward pass through a segment, step by step. `again`: whether the forward filter has moved on to later
+    /// segments, and must first run over this segment again.
     fn steps_back<S: Sink>(
         &self,
         segment: &Segment,
@@ -132,8 +133,8 @@ impl BackwardInput<'_> {
         Ok(())
     }
 
-    /// The backward pass through the measurements of one step, the last first. `before`: the filter before the
-    /// measurement with this index in the step.
+    /// The backward pass through the measurements of one step, the last first. `before`: the state of the filter before
+    /// a measurement, by index of the measurement in the step.
     fn measured_back<'s>(
         &self,
         step: &DesignStep<'_>,
@@ -158,7 +159,7 @@ impl BackwardInput<'_> {
         }
     }
 
-    /// (r, ρ, N) after the last step, where they are not zero.
+    /// [r, ρ, N] after the last step; `None` where all three are zero.
     fn after(&self) -> Option<[&[f64]; 3]> {
         self.ending.map(|ending| [&*ending.r, &*ending.rho, &*ending.N])
     }

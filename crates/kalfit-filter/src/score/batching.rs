@@ -1,4 +1,5 @@
-//! Which tests of an ensemble are processed together. The choice does not depend on α and is made at its first use.
+//! The choice of the tests of an ensemble that are processed together. The choice does not depend on α and is made when
+//! first needed.
 
 use std::sync::{Arc, OnceLock};
 
@@ -22,14 +23,14 @@ impl Batching {
         get_or_compute(&self.classes, || classes_of(reducer, tests, &reducer.replicates(tests)))
     }
 
-    /// Gives a reducer the steps of the tests, as far as they are known.
+    /// Gives a reducer the steps of the tests that are known so far.
     pub fn share_steps(&self, reducer: &mut PhasedReducer) {
         let phases = reducer.phases().len();
         reducer.share_steps(self.steps.get_or_init(|| (0..phases).map(|_| Arc::default()).collect()));
     }
 
-    /// Reductions at the α of a reducer made for the slots, and the filtered batches for the scores; `None` for these
-    /// where no score exists.
+    /// Reductions at the α of a reducer made for the slots, and the filtered batches for the scores; `None` in place of
+    /// the batches where no score exists.
     pub fn reduce(
         &self,
         (model, slots): (&PhasedModel, &Slots),
@@ -37,7 +38,7 @@ impl Batching {
         tests: &[PhasedTest],
     ) -> Result<(Reductions, Option<FilteredPhases>), ReduceError> {
         if self.batches.get().is_none() && PhasedScorer::new(model, reducer, slots).is_err() {
-            // where no score exists, α may decide which rows count, and so the batches
+            // where no score exists, α may decide which rows count, and therefore which tests share a batch
             return Ok((reducer.reduce(tests)?, None));
         }
         let batches = get_or_compute(&self.batches, || {
@@ -54,7 +55,7 @@ impl Batching {
 /// The value of a cell, computed on first use.
 fn get_or_compute<T>(found: &OnceLock<T>, compute: impl FnOnce() -> T) -> &T {
     if found.get().is_none() {
-        // computed outside the lock: a thread that computes it may take up other work meanwhile
+        // the value is computed outside the lock: the computing thread may take up other work meanwhile
         let _ = found.set(compute());
     }
     found.get().expect("it was found")

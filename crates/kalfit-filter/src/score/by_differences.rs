@@ -1,4 +1,4 @@
-//! ℓ of a test and its slopes by the plainest formulas, for tests to compare with.
+//! ℓ of a reduction by the plainest formula, as a reference in tests.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -6,7 +6,7 @@ use crate::reduce::ReductionRef;
 use crate::score::InitialLaw;
 use kalfit_model::unpack;
 
-/// ℓ of a reduction: log N(d; Rμ, I + RΣR') plus its constant.
+/// ℓ of a reduction: log N(d; Rμ, I + RΣR') plus the constant of the reduction.
 pub(crate) fn likelihood(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
     let p = law.root.nrows();
     let factor = unpack(reduction.factor, p);

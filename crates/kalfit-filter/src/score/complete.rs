@@ -1,4 +1,4 @@
-//! The E-step of EM on states and noises: their moments in a test, given its data, at known α, μ and Σ.
+//! The E-step of EM: moments of the states and noises of a test given all data of the test, at known α, μ and Σ.
 
 use std::sync::Arc;
 
@@ -13,16 +13,16 @@ use kalfit_model::Test;
 /// Moments of the complete data of a test (states and noises), given all that was measured.
 #[derive(Debug, Clone, Default)]
 pub struct Complete {
-    /// x_0, then the state after each step.
+    /// Moments of x_0, then of the state after each step.
     pub(crate) states: Vec<Smoothed>,
     /// Whether each scalar measurement had noise.
     pub(crate) noisy: Vec<bool>,
-    /// The transition to each step, if it has one.
+    /// The transition to each step; `None` where the step has no transition.
     pub(crate) moves: Vec<Option<Move>>,
     pub(crate) start: InitialMoments,
 }
 
-/// A transition at the α of the moments, and the moments of its noise.
+/// A transition at the α of the moments, and the moments of the noise of the transition.
 #[derive(Debug, Clone)]
 pub(crate) struct Move {
     pub(crate) transition: Arc<Transition>,
@@ -84,8 +84,8 @@ impl Complete {
 }
 
 impl Scorer<'_> {
-    /// Moments of the complete data of a test at the α of the reducer. `moments`: those of its ξ; `ending`: adjoints of
-    /// its last state from later phases.
+    /// Moments of the complete data of a test at the α of the reducer. `moments`: moments of ξ of the test; `ending`:
+    /// adjoints of the last state of the test, from later phases.
     pub(crate) fn complete(
         &self,
         test: &Test,

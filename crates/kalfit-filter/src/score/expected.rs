@@ -1,12 +1,12 @@
-//! The expected log-likelihood of the complete data, which the M-step of EM raises, at any α near the one of the moments:
+//! The expected log-likelihood of the complete data, which the M-step of EM raises, at any α near the α of the moments:
 //!
 //! ```text
 //! Q(α) = -½ Σ_k (log R_k + E[v_k²]/R_k) - ½ Σ_k (log|Q_k| + tr Q_k⁻¹E[w_k w_k']) - ½ (log|P0| + tr P0⁻¹E[ζζ'])
 //! v_k = z_k - d_k - h_k'x_k        w_k = x_k - φ_k x_{k-1} - b_k        ζ = x_0 - a - Aξ
 //! ```
 //!
-//! up to a constant. Of a singular covariance only the range counts, and the noise must lie in it: what the complete
-//! data determine exactly cannot change. The gradient uses the same pullback as that of ℓ.
+//! up to a constant. Of a singular covariance only the range counts, and the noise must be in this range: numbers that
+//! the complete data determine exactly cannot change. The gradient goes through the pullback of ℓ.
 
 use std::sync::Arc;
 
@@ -20,15 +20,16 @@ use crate::score::pullback::{Adjoints, Gradient};
 use kalfit_algebra::symmetric;
 use kalfit_model::Test;
 
-/// Eigenvalues of a scaled covariance below this fraction of the largest are outside its range.
+/// Largest eigenvalue of a scaled covariance, as a fraction of the largest of all, that counts as zero and is outside
+/// the range.
 const RANGE_TOLERANCE: f64 = 1e-10;
-/// Largest scaled variance of a noise outside the range that is taken for rounding.
+/// Largest scaled variance of noise outside the range that is taken for a rounding error.
 const MAX_VARIANCE_OUTSIDE: f64 = 1e-6;
-/// Largest E[v²] of a measurement without noise, as a fraction of the sum of its squared terms.
+/// Largest E[v²] of a measurement without noise, as a fraction of the sum of the squared terms of the measurement.
 const EXACT_TOLERANCE: f64 = 1e-12;
 
 impl Scorer<'_> {
-    /// Q of a test and its gradient; `None` where the complete data are impossible at this α.
+    /// Q of a test, and the gradient of Q; `None` where the complete data are impossible at this α.
     pub(crate) fn expected(
         &self,
         test: &Test,
@@ -74,8 +75,8 @@ fn sum(
     Ok(Some(value + begun.value))
 }
 
-/// The part of Q from the scalar measurements of a step, and its derivatives. `None` where a measurement gains or loses
-/// its noise, or has none and does not fit the states.
+/// The part of Q from the scalar measurements of a step, and the derivatives of this part. `None` where a measurement
+/// gains or loses noise, or where a measurement without noise does not fit the states.
 fn measurements(
     work: &Workspace,
     step: &DesignStep<'_>,
@@ -120,7 +121,7 @@ struct TransitionChange<'a> {
     before: &'a Smoothed,
 }
 
-/// The last covariance that was inverted, with the transitions at the old and the new α.
+/// (transition at the old α, transition at the new α, inverse of Q) of the covariance that was inverted last.
 #[derive(Debug, Default)]
 struct RangeInverseCache {
     last: Option<(Arc<Transition>, Arc<Transition>, RangeInverse)>,
@@ -139,8 +140,8 @@ impl RangeInverseCache {
 }
 
 impl TransitionChange<'_> {
-    /// The transition's part of Q, and its derivatives. w at the new α is w at the old α plus d - Dx̃, where D = φ' -
-    /// φ, d = -(Dx̄ + b' - b) and x̃ = x - x̄.
+    /// The part of Q from the transition, and the derivatives of this part. Primes mark the new α: w at the new α is w
+    /// at the old α plus d - Dx̃, where D = φ' - φ, d = -(Dx̄ + b' - b) and x̃ = x - x̄.
     fn expected(&self, frame: &StateFrame, known: &mut RangeInverseCache) -> Option<(f64, TransitionAdjoint)> {
         let (n, r) = (frame.n, frame.r);
         let pattern = &self.new.pattern;
@@ -205,7 +206,7 @@ fn differ(a: f64, b: f64) -> bool {
     (a - b).abs() > 1e-14 * a.abs().max(b.abs())
 }
 
-/// The part of Q from x_0, and its derivatives to a (n) and P0 (r × r).
+/// The part of Q from x_0, and the derivatives of this part to a (n) and P0 (r × r).
 struct StartPart {
     value: f64,
     mean: Vec<f64>,
@@ -233,7 +234,8 @@ fn start(design: &Design, known: &[f64], old: &InitialMoments) -> Option<StartPa
     Some(StartPart { value: part.value, mean, variance: part.bar.transpose().as_slice().to_vec() })
 }
 
-/// A covariance inverted on its range, in units of the old standard deviations.
+/// The inverse of a covariance on the range of the covariance, with the range decided in units of the old standard
+/// deviations.
 #[derive(Debug)]
 struct RangeInverse {
     inverse: DMatrix<f64>,
@@ -241,18 +243,18 @@ struct RangeInverse {
     log: f64,
     /// Whether each state has noise.
     noisy: Vec<bool>,
-    /// Combinations of the states that have no noise, scaled to unit size, one per row.
+    /// Linear combinations of the states that no noise reaches, scaled to unit size, one per row.
     outside: DMatrix<f64>,
 }
 
-/// -½ (log|Q| + tr Q⁻¹E) and its derivative to each entry of Q by itself.
+/// -½ (log|Q| + tr Q⁻¹E), and the derivatives to the entries of Q, taken as independent.
 struct QuadraticTerm {
     value: f64,
     bar: DMatrix<f64>,
 }
 
 impl RangeInverse {
-    /// Inverts `new` on its range; `None` where the range is not that of `old`.
+    /// Inverts `new` on the range of `new`; `None` where the ranges of `new` and `old` differ.
     fn new(old: &DMatrix<f64>, new: &DMatrix<f64>) -> Option<RangeInverse> {
         let r = old.nrows();
         let noisy: Vec<bool> = (0..r).map(|i| old[(i, i)] > 0.0).collect();

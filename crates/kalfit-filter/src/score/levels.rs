@@ -1,4 +1,4 @@
-//! Noise levels: parameters that do nothing but scale noises, whose M-step has a closed form.
+//! Noise levels: parameters that only scale noises, so that the M-step has a closed form.
 //!
 //! Where n noises have variances R_k = σ^d s_k, E[v_k²] = R_k + 2 R_k² ∂ℓ/∂R_k sums to σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ).
 
@@ -14,7 +14,7 @@ use kalfit_model::{Expression, Initial, Model, Motion, Phase, PhasedModel, Site,
 /// Which free values are noise levels, and how many noises each of them scales.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Levels {
-    /// d of each parameter; `None` where the parameter is not a level.
+    /// Exponent d of each parameter σ in the variance σ^d s_k; `None` where the parameter is not a level.
     degree: Vec<Option<f64>>,
     /// n of each slot: the number of noises that the level scales.
     count: Vec<f64>,
@@ -54,14 +54,14 @@ impl Levels {
         Ok(Levels { degree, count })
     }
 
-    /// (d, n) of a slot; `None` where its parameter is not a level.
+    /// (d, n) of a slot; `None` where the parameter of the slot is not a level.
     pub fn of(&self, slots: &Slots, slot: usize) -> Option<(f64, f64)> {
         Some((self.degree[slots.slots()[slot].parameter]?, self.count[slot]))
     }
 }
 
-/// d of a parameter that is a level with the same d in every phase that mentions it, and that occurs neither in a carry
-/// nor in a phase with a suboptimal filter; otherwise `None`.
+/// d of a parameter that is a level with one d in all phases that mention the parameter, and that occurs neither in a
+/// carry nor in a phase with a suboptimal filter; otherwise `None`.
 fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option<f64> {
     let mut common = None;
     for phase in &model.phases {
@@ -83,7 +83,7 @@ fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option
     common
 }
 
-/// Free parameters that a phase or its carry depends on.
+/// Indices of the free parameters that a phase or the carry of the phase depends on, ascending.
 pub fn dependences(phase: &Phase, slots: &Slots) -> Vec<usize> {
     free_in(
         phase.model.expressions().into_iter().map(|(_, expression)| expression).chain(phase.inherited_expressions()),
@@ -91,12 +91,12 @@ pub fn dependences(phase: &Phase, slots: &Slots) -> Vec<usize> {
     )
 }
 
-/// Free parameters that the carry of a phase depends on.
+/// Indices of the free parameters that the carry of a phase depends on, ascending.
 pub fn carried(phase: &Phase, slots: &Slots) -> Vec<usize> {
     free_in(phase.inherited_expressions(), slots)
 }
 
-/// Free parameters in the expressions, ascending.
+/// Indices of the free parameters in the expressions, ascending.
 fn free_in<'m>(expressions: impl Iterator<Item = &'m Expression>, slots: &Slots) -> Vec<usize> {
     let all: BTreeSet<usize> = expressions.flat_map(Expression::parameters).collect();
     all.into_iter().filter(|&parameter| slots.is_free(parameter)).collect()
@@ -139,11 +139,11 @@ fn noise_slots(
     Ok(found)
 }
 
-/// d of a parameter that does nothing but scale whole noise variances by σ^d; otherwise `None`. `places`: all
-/// expressions that mention the parameter.
+/// d of a parameter that only scales whole noise variances by σ^d; otherwise `None`. `places`: all expressions that
+/// mention the parameter.
 fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expression)]) -> Option<f64> {
     let free = |expression: &Expression| expression.parameters().into_iter().any(|p| slots.is_free(p));
-    // a stationary start depends on all process noise
+    // a stationary start depends on the process noise of all states
     let is_settled = model.states.iter().any(|state| state.initial == Initial::Stationary);
     let mut common = None;
     for (site, expression) in places {
@@ -161,8 +161,8 @@ fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expr
     common
 }
 
-/// Whether a state's noise is uncorrelated with the others and reaches no other state within a step, so that a factor
-/// of its variance scales its Q of every step.
+/// Whether the noise of a state is uncorrelated with the noises of all other states and reaches no other state within a
+/// step, so that a factor of the noise variance scales the entry of Q of this state in every step.
 fn has_separate_noise(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> bool {
     if model.process_noise_covariance.iter().any(|(i, j, _)| *i == state || *j == state) {
         return false;

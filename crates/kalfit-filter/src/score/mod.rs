@@ -1,4 +1,4 @@
-//! dℓ/dα of a test, exactly, by one backward pass (theory §6), whatever the number of parameters.
+//! The exact dℓ/dα of a test from one backward pass (theory §6), for any number of parameters.
 //!
 //! ```text
 //! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── pullback ──> dℓ/dα
@@ -48,7 +48,7 @@ pub(crate) struct Scorer<'a> {
 }
 
 impl<'a> Scorer<'a> {
-    /// A scorer at the α of `reducer`, which must have been made for these slots ([`Reducer::scoring`]).
+    /// A scorer at the α of `reducer`, which must have been made for `slots` ([`Reducer::scoring`]).
     pub(crate) fn new(reducer: &'a Reducer, slots: &'a Slots) -> Result<Scorer<'a>, ReduceError> {
         let pullback =
             Pullback::new(reducer.preparer(), slots).map_err(|fault| fault.name(&reducer.preparer().model, None))?;
@@ -82,7 +82,7 @@ impl<'a> Scorer<'a> {
         AdjointsWanted { motion: self.pullback.needs_rates(), equation: self.pullback.needs_equation() }
     }
 
-    /// dℓ_j/dα of one test, given the moments of its ξ and the adjoints of its last state from later phases.
+    /// dℓ_j/dα of one test, given the moments of ξ and, from later phases, the adjoints of the last state of the test.
     pub(crate) fn alone(
         &self,
         test: &Test,

@@ -18,7 +18,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Moments from x̂ and C.
+    /// Moments with x̂ = `mean` and C = `root`.
     pub fn of(mean: &DVector<f64>, root: &DMatrix<f64>) -> Moments {
         Moments { mean: mean.as_slice().to_vec(), root: root.transpose().as_slice().to_vec(), columns: root.ncols() }
     }
@@ -37,16 +37,17 @@ impl Moments {
     }
 }
 
-/// The law of ξ given the exact measurements of a test; `None` where there are none or they are ignored.
+/// The law of ξ given the exact measurements of a test; `None` where the test has no exact measurements, or where the
+/// exact measurements are ignored.
 pub struct ExactConditional(Option<Conditional>);
 
 impl ExactConditional {
-    /// Exact measurements Cξ are ignored where their covariance CΣC' is singular.
+    /// The law given the exact measurements Cξ of a reduction; Cξ is ignored where the covariance CΣC' is singular.
     pub fn of(reduction: ReductionRef<'_>, law: &InitialLaw) -> ExactConditional {
         ExactConditional(reduction.exact.and_then(|exact| Conditional::new(exact.matrix(law.root.nrows()), &law.root)))
     }
 
-    /// Mean of ξ given the exact measurements (p); μ of the test where there are none.
+    /// Mean of ξ given the exact measurements, p values; μ of the test without exact measurements.
     pub fn mean(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> DVector<f64> {
         let mean = law.mean_of(reduction.covariates);
         match (&self.0, reduction.exact) {
@@ -55,7 +56,7 @@ impl ExactConditional {
         }
     }
 
-    /// Root F of the covariance FF' of ξ given the exact measurements; F of Σ where there are none.
+    /// Root F of the covariance FF' of ξ given the exact measurements; FF' = Σ without exact measurements.
     pub fn root<'a>(&'a self, law: &'a InitialLaw) -> &'a DMatrix<f64> {
         self.0.as_ref().map_or(&law.root, |known| &known.root)
     }
@@ -71,26 +72,27 @@ impl ExactConditional {
         Some(self.0.as_ref()?.whitened(&(exact * directions)))
     }
 
-    /// Log-density of the exact measurements; zero where there are none.
+    /// Log-density of the exact measurements; zero without exact measurements.
     pub fn log_density(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
         let told = self.0.as_ref().zip(reduction.exact);
         told.map_or(0.0, |(known, exact)| known.log_density(&law.mean_of(reduction.covariates), &exact.values))
     }
 }
 
-/// Largest magnitude of the entries of RF with which S = I + RΣR' is formed; beyond it rounding loses the identity.
+/// Largest magnitude of entries of RF for which S = I + RΣR' is formed: with larger entries, rounding loses the
+/// identity.
 const MAX_RF_ENTRY: f64 = 1e4;
 
-/// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e
-/// and RVR' = I - S⁻¹. It is computed from the moments where S is large, under the restricted likelihood, with a law
-/// per test, and with exact measurements.
+/// E‖d - Rξ‖² of a reduction given the data of the test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d -
+/// Rx̂ = S⁻¹e and RVR' = I - S⁻¹. The moments of ξ are used in place of S where S is large, under the restricted
+/// likelihood, with a law per test, and with exact measurements.
 pub fn expected_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
     let special = law.is_restricted() || law.has_posteriors() || reduction.exact.is_some();
     let own = if special { None } else { plain_square(reduction, law) };
     own.unwrap_or_else(|| moments(reduction, law).expected_square(reduction))
 }
 
-/// E‖d - Rξ‖² from S; `None` where S is too large.
+/// E‖d - Rξ‖² from S; `None` where an entry of RF is beyond [`MAX_RF_ENTRY`].
 fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
     let (p, columns) = law.root.shape();
     let line = |k: usize, x: &dyn Fn(usize) -> f64| -> f64 {
@@ -125,8 +127,8 @@ fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
 
 /// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11).
 ///
-/// Under the restricted likelihood V also contains the covariance of μ_j at a known Σ, whose root is multiplied by
-/// (I+ΣJ)⁻¹: ℓ_R changes by -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
+/// Under the restricted likelihood V also contains (I+ΣJ)⁻¹XX'(I+JΣ)⁻¹, with XX' the covariance of μ_j at a known Σ:
+/// with this V, ℓ_R changes by -½ tr(V ∂J), as ℓ does with V of (11).
 pub(crate) fn moments(reduction: ReductionRef<'_>, law: &InitialLaw) -> Moments {
     if let Some((mean, root)) = law.given(reduction.test) {
         return Moments::of(mean, root);
@@ -163,7 +165,8 @@ impl Moments {
         self
     }
 
-    /// x̂ = μ + CC'R'(d - Rμ) of another test with the same R under the same law, which must not be a restricted one.
+    /// x̂ = μ + CC'R'(d - Rμ) of another test that shares R and the law with this test; the law must not be a
+    /// restricted one.
     pub(crate) fn mean_of(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> Vec<f64> {
         let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);
         let mut mean = ExactConditional::of(reduction, law).mean(reduction, law).as_slice().to_vec();

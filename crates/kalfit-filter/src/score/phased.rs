@@ -1,5 +1,5 @@
-//! Scores and complete data of tests in phases: each phase has its own passes, which start from the smoother over all
-//! phases.
+//! Scores and complete data of tests in phases: each phase has a forward and a backward pass, which start from the
+//! results of the smoother over all phases.
 //!
 //! ```text
 //! phases of a test ── smoother ──> moments of σ_i, adjoints of x_K ── backward of phase i ──> dℓ/dα
@@ -46,7 +46,7 @@ pub struct PhasedScorer<'a> {
     reducer: &'a PhasedReducer,
     slots: &'a Slots,
     phases: Vec<Scorer<'a>>,
-    /// Coefficients of each phase's carry that depend on free values.
+    /// For each phase, the coefficients of the carry that depend on free values.
     carries: Vec<Vec<&'a InheritanceTerm>>,
 }
 
@@ -62,7 +62,7 @@ struct ScoreWorkspace<'a> {
 }
 
 impl<'a> PhasedScorer<'a> {
-    /// A scorer at the α of `reducer`, which must have been made for these slots ([`PhasedReducer::scoring`]).
+    /// A scorer at the α of `reducer`, which must have been made for `slots` ([`PhasedReducer::scoring`]).
     pub fn new(
         model: &'a PhasedModel,
         reducer: &'a PhasedReducer,
@@ -78,8 +78,9 @@ impl<'a> PhasedScorer<'a> {
         Ok(PhasedScorer { model, reducer, slots, phases: phases.collect::<Result<_, _>>()?, carries })
     }
 
-    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: those of the tests; `law`: the law
-    /// of ξ; `classes`: which tests are replicates; `filtered`: batches of tests after their filters.
+    /// dℓ_j/dα of each test through the phases that have rows to filter. `reductions`: the reductions of the tests;
+    /// `law`: the law of ξ; `classes`: which tests are replicates; `filtered`: batches of tests that the filters have
+    /// passed.
     pub fn scores(
         &self,
         tests: &[PhasedTest],
@@ -126,8 +127,8 @@ impl<'a> PhasedScorer<'a> {
         Ok(all.into_iter().map(|test| test.into_iter().map(|phase| Some(phase?.states)).collect()).collect())
     }
 
-    /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None`
-    /// where the complete data of some test are impossible there.
+    /// (Q, gradient of Q) of each test, with Q the expected log-likelihood of the complete data, at the α of the
+    /// reducer; `None` where the complete data of some test are impossible at this α.
     pub fn all_expected(
         &self,
         tests: &[PhasedTest],
@@ -157,7 +158,7 @@ impl<'a> PhasedScorer<'a> {
         }
     }
 
-    /// Results of the smoother for each phase of a test, from which its passes start.
+    /// Results of the smoother for each phase of a test, from which the passes over the phase start.
     fn begin(
         &self,
         of: ScoredEnsemble<'_>,
@@ -187,7 +188,7 @@ impl<'a> PhasedScorer<'a> {
         Ok(entry.value().smooth(pieces, &laws))
     }
 
-    /// The part of a test's score that goes through its carries.
+    /// The part of the score of a test that goes through the carries of the phases.
     fn carry_gradient(
         &self,
         test: &PhasedTest,

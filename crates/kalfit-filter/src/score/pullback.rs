@@ -6,8 +6,9 @@
 //! ā, P̄0 ── Lyapunov ──────────────────────────┘
 //! ```
 //!
-//! A *tap* is a coefficient that depends on a free value: its adjoints are summed and go through its expression once
-//! for each run of equal cells. The cost does not depend on the number of free values.
+//! A *tap* is a coefficient that depends on a free value. The adjoints of a tap are summed over each run of equal
+//! cells, and each sum goes through the expression of the tap once. The cost of the pullback does not depend on the
+//! number of free values.
 
 mod adjoints;
 mod columns;
@@ -31,30 +32,30 @@ pub use taps::Gradient;
 pub use taps::add;
 use taps::{CellRead, Context, FreeCoefficients};
 
-/// The chain rule from the coefficients of a model at α to its free values, shared by threads.
+/// The chain rule from the coefficients of a model at α to the free values of α, shared by threads.
 #[derive(Debug)]
 pub(crate) struct Pullback<'a> {
     preparer: &'a Preparer,
     slots: &'a Slots,
     taps: FreeCoefficients,
-    /// Tap of each slot of the dynamics' coefficients.
+    /// Index of the tap of each coefficient of the dynamics, by slot; `None` for coefficients without a tap.
     values: Vec<Option<usize>>,
-    /// Tap of each slot of the dynamics' inputs.
+    /// Index of the tap of each known input of the dynamics, by slot; `None` for inputs without a tap.
     inputs: Vec<Option<usize>>,
-    /// For each slot of the dynamics' coefficients, whether it has a tap.
+    /// Whether each coefficient of the dynamics has a tap, by slot.
     free: Vec<bool>,
     /// Cells that taps of the dynamics' coefficients read.
     reads: Vec<CellRead>,
-    /// Cells that any tap reads; `None` where no tap reads one.
+    /// Cells that the taps read; `None` where no tap reads a cell.
     cells: Option<Vec<CellRead>>,
     meters: Vec<MeterTaps>,
     pairs: Vec<Option<usize>>,
-    /// Tap of each of the start's coefficients.
+    /// Index of the tap of each coefficient of the start; `None` for coefficients without a tap.
     start: Vec<Option<usize>>,
     needs: Needs,
 }
 
-/// Taps of a measurement.
+/// Indices of the taps of the coefficients of a measurement.
 #[derive(Debug, Clone)]
 struct MeterTaps {
     noise: Option<usize>,
@@ -71,7 +72,7 @@ impl MeterTaps {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Needs {
-    /// Whether φ, and b through Γ, depend on free values.
+    /// Whether φ depends on free values, and with φ also Γ in b = Γu.
     rates: bool,
     inputs: bool,
     noise: bool,
@@ -81,8 +82,9 @@ struct Needs {
 }
 
 impl<'a> Pullback<'a> {
-    /// `preparer` must have been made with the free parameters of `slots` ([`Preparer::with_free`]). An error where a
-    /// free parameter decides which rows count, or the time of x_0: ℓ is not continuous in such a parameter.
+    /// `preparer` must have been made with the free parameters of `slots` ([`Preparer::with_free`]). Returns an error
+    /// where a free parameter decides which rows count, or decides the time of x_0: ℓ is not continuous in such a
+    /// parameter.
     pub(crate) fn new(preparer: &'a Preparer, slots: &'a Slots) -> Result<Pullback<'a>, Box<Fault>> {
         let at = preparer.at();
         refuse_jumps(&at, preparer)?;
@@ -119,6 +121,7 @@ impl<'a> Pullback<'a> {
         Ok(pullback)
     }
 
+    /// Finds the adjoints that the chain rule needs: the adjoints of coefficients that depend on free values.
     fn find_needs(&self) -> Needs {
         let dynamics = &self.preparer.dynamics;
         let (free, start) = (|slot: usize| self.free[slot], &self.preparer.start);
@@ -137,7 +140,7 @@ impl<'a> Pullback<'a> {
             rates,
             inputs: self.inputs.iter().any(Option::is_some),
             noise,
-            // Whitening mixes equations with factors that depend on the noises.
+            // Whitening combines the h of several measurements with weights that depend on the noise variances.
             equation: terms || covariances || (noises && !self.pairs.is_empty()),
             measurements: terms || covariances || noises || constants,
             start: self.start.iter().any(Option::is_some) || settled || driven,
@@ -161,7 +164,7 @@ impl<'a> Pullback<'a> {
         self.needs.noise
     }
 
-    /// Whether adjoints of h are needed: where h or the whitening of measurements depends on free values.
+    /// Whether adjoints of h are needed, because h or the whitening of measurements depends on free values.
     pub(crate) fn needs_equation(&self) -> bool {
         self.needs.equation
     }
@@ -177,7 +180,7 @@ impl<'a> Pullback<'a> {
     }
 }
 
-/// Taps of a table, by slot.
+/// Index of the tap of each coefficient of a table, by slot; `None` for coefficients without a tap.
 fn table(taps: &mut FreeCoefficients, at: &ModelAt<'_>, table: &crate::reduce::Table) -> Vec<Option<usize>> {
     let mut places = vec![None; table.fixed.len()];
     for (slot, coefficient) in table.free.iter().map(|(slot, c)| (*slot, c)) {

@@ -30,14 +30,14 @@ use kalfit_model::{Inherited, PhaseReduction};
 pub(crate) use plan::PlanKey;
 pub use plan::SmootherPlan;
 
-/// Results of the smoother for one phase, from which its backward pass starts.
+/// Results of the smoother for one phase, from which the backward pass over the phase starts.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct SmoothedPhase {
-    /// Moments of the phase's σ given all phases.
+    /// Moments of σ of the phase, given the data of all phases.
     pub(crate) moments: Moments,
-    /// Adjoints of the phase's last state from later phases; `None` where none follows.
+    /// Adjoints of the last state of the phase, from later phases; `None` for the last phase.
     pub(crate) later: Option<LaterAdjoint>,
-    /// Adjoints of the phase's inheritance; `None` for the first phase.
+    /// Adjoints of T and t of the inheritance; `None` for the first phase.
     pub(crate) inherited: Option<InheritanceAdjoint>,
 }
 
@@ -52,9 +52,9 @@ pub(crate) struct LaterAdjoint {
 /// ∂ℓ/∂T and ∂ℓ/∂t of σ = [ξ; 0] + T x_K + t.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct InheritanceAdjoint {
-    /// ∂ℓ/∂T, q × n with n of the phase before.
+    /// ∂ℓ/∂T, q × n, with n the number of states of the phase before.
     pub(crate) transition: DMatrix<f64>,
-    /// ∂ℓ/∂t, q numbers.
+    /// ∂ℓ/∂t, q values.
     pub(crate) input: DVector<f64>,
 }
 
@@ -75,7 +75,7 @@ struct PhaseLaw {
 }
 
 impl PhaseLaws {
-    /// `ranges`: the elements of μ that belong to each phase; `covariates`: those of all phases, concatenated.
+    /// `ranges`: the elements of μ that belong to each phase; `covariates`: the covariates of all phases, concatenated.
     pub fn new(law: &InitialLaw, ranges: &[Range<usize>], covariates: &[f64]) -> PhaseLaws {
         let mean = law.mean_of(covariates);
         let extra = law.mean_root_of(covariates);
@@ -95,14 +95,14 @@ impl PhaseLaws {
 }
 
 impl PhaseLaw {
-    /// EX (q rows): X followed by zero rows for the states that only inherit.
+    /// EX, q rows: X followed by zero rows for the states that only inherit.
     fn entering(x: &DMatrix<f64>, q: usize) -> DMatrix<f64> {
         let mut out = DMatrix::zeros(q, x.ncols());
         out.rows_mut(0, x.nrows()).copy_from(x);
         out
     }
 
-    /// Eμ + t (q numbers), with t zero where nothing is inherited.
+    /// Eμ + t, q values, with t zero where nothing is inherited.
     fn mean(&self, q: usize, input: Option<&DVector<f64>>) -> DVector<f64> {
         let mut out = input.cloned().unwrap_or_else(|| DVector::zeros(q));
         out.rows_mut(0, self.mean.len()).zip_apply(&self.mean, |out, mean| *out += mean);

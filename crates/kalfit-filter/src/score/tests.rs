@@ -61,7 +61,7 @@ fn law() -> InitialLaw {
 }
 
 impl Scorer<'_> {
-    /// dℓ_j/dα of each test, one by one, with the moments of its ξ.
+    /// dℓ_j/dα of each test, one by one, with the moments of ξ of the test.
     fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
         let room = || (self.reducer.workspace(), BackwardWork::default(), self.pullback.adjoints());
         let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {

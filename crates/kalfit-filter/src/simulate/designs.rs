@@ -1,5 +1,4 @@
-//! The design of an ensemble: the tests that give times, inputs and missingness, and the ids of the tests that are
-//! drawn for them.
+//! The design of an ensemble: tests that give times, inputs and missing values, and the ids of the drawn tests.
 
 use std::collections::BTreeSet;
 
@@ -9,8 +8,8 @@ use kalfit_model::Grouping;
 use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
 
-/// Tests to draw for, at least one, with distinct ids. Test j of an ensemble is drawn for test j mod n of the n tests
-/// here.
+/// The design of an ensemble: n ≥ 1 tests with distinct ids. Test j of the ensemble has the times, inputs and missing
+/// values of test j mod n of the design.
 #[derive(Debug, Clone)]
 pub struct Designs {
     tests: Vec<PhasedTest>,
@@ -19,7 +18,7 @@ pub struct Designs {
 }
 
 impl Designs {
-    /// A design of these tests.
+    /// The design that consists of `tests`.
     ///
     /// # Errors
     /// No tests, or two tests with the same id.
@@ -38,8 +37,9 @@ impl Designs {
         Ok(Designs { tests, round_mark, grouping: None })
     }
 
-    /// A design of these tests for a model: with levels, the tests are in the groups that their rows name; without
-    /// levels, it is that of `new`. In each round through the design the groups are new ones with the same names.
+    /// The design that consists of `tests`, for a model. With levels, each test is in the groups that the rows of the
+    /// test name, and each round through the design has new groups of the same names. Without levels, the design is
+    /// that of [`Designs::new`].
     ///
     /// # Errors
     /// As [`Designs::new`]; also a test whose groups are not known.
@@ -48,8 +48,8 @@ impl Designs {
         Ok(Designs { grouping, ..Designs::new(tests)? })
     }
 
-    /// For tests in groups: a number for each group of test `index`, from the innermost level on, that no other group
-    /// of the ensemble has, even in other rounds.
+    /// Number of the group of test `index` at each level, the innermost first. No two groups of the ensemble, in
+    /// whatever rounds, have one number. `None` where the groups are not known.
     pub(super) fn groups(&self, index: u64) -> Option<Vec<u64>> {
         let grouping = self.grouping.as_ref()?;
         let (round, all) = (index / self.tests.len() as u64, (0..grouping.depth()).map(|l| grouping.groups(l).len()));
@@ -66,14 +66,14 @@ impl Designs {
         &self.tests
     }
 
-    /// The test that test `index` of an ensemble is drawn for.
+    /// The test of the design that gives times, inputs and missing values of test `index` of an ensemble.
     pub fn design(&self, index: u64) -> &PhasedTest {
         let n = self.tests.len() as u64;
         &self.tests[usize::try_from(index % n).expect("a remainder is below the number of tests")]
     }
 
-    /// Id of test `index` of an ensemble: that of its design in the first round, `id#2` in the second. It has more than
-    /// one `#` when the design itself has an id that ends in `#` and digits, so that no two ids are equal.
+    /// Id of test `index` of an ensemble: in the first round the id of the test of the design, in the second round
+    /// `id#2`. Where an id of the design ends in `#` and digits, `#` is repeated, so that no two ids are equal.
     pub fn id(&self, index: u64) -> String {
         let design = self.design(index);
         match index / self.tests.len() as u64 {

@@ -19,16 +19,16 @@ pub enum SimulateError {
     /// The model has levels, but the design was made without groups.
     #[error("the model has levels of groups, and the groups of the tests of the design are not known")]
     Ungrouped,
-    /// There is no design to draw for.
+    /// The design has no tests.
     #[error("the design has no tests")]
     NoTests,
     /// Two tests of the design have the same id.
     #[error("two tests of the design have the id `{id}`")]
     DuplicateTest {
-        /// The id.
+        /// Id of both tests.
         id: String,
     },
-    /// A phase of a design is not given by its rows.
+    /// A phase of a test of the design is given by a reduction or estimates instead of rows.
     #[error(
         "test `{test}`: phase `{phase}` is given by {found}, expected its rows: they tell times, inputs and missing values"
     )]
@@ -37,7 +37,7 @@ pub enum SimulateError {
         test: String,
         /// Name of the phase.
         phase: String,
-        /// `a reduction` or `estimates`.
+        /// Evidence of the phase in words: `a reduction` or `estimates`.
         found: &'static str,
     },
     /// A test of the design has no phases, or more phases than the model.
@@ -50,7 +50,7 @@ pub enum SimulateError {
         /// Number of phases of the model.
         expected: usize,
     },
-    /// A measured column is an input too.
+    /// A phase reads a measured column as an input too.
     #[error(
         "column `{column}` contains measurements and is also used as an input: a drawn value would change the model that it is drawn from"
     )]

@@ -3,8 +3,8 @@
 use crate::simulate::SimulateError;
 use kalfit_model::{Expression, Phase};
 
-/// Refuses a column that a phase both measures and reads as an input: a drawn value must not change what the model does
-/// with other cells.
+/// Refuses a column that a phase both measures and reads as an input: a drawn value must not change the coefficients of
+/// the model on other cells.
 pub(super) fn refuse_measured_inputs(phase: &Phase) -> Result<(), SimulateError> {
     let model = &phase.model;
     let is_measured = |column: usize| model.measurements.iter().any(|m| m.column == column);

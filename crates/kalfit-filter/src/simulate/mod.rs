@@ -7,16 +7,15 @@
 //! z_k = M_k x_k + d_k + v_k, v_k ~ N(0, R_k)
 //! ```
 //!
-//! and so on, phase after phase: each has a separate ξ, and its x_0 inherits t + T x_K from the true final state of the
-//! phase before (theory §7).
+//! Phases follow each other: each phase has a separate ξ, and x_0 of a later phase inherits t + T x_K from x_K, the
+//! true final state of the phase before (theory §7).
 //!
-//! A test of the design gives times, inputs and which values are missing; its measured values themselves do not matter.
-//! The coefficients are those that the reducer filters with, evaluated by the same code. Σ, P0, Q and R may be
-//! singular. Estimates of a suboptimal filter are not drawn: a phase with a filter draws its measurements like any
-//! other phase.
+//! A test of the design gives times, inputs and which values are missing; measured values of the design do not matter.
+//! The simulator and the reducer evaluate coefficients by the same code. Σ, P0, Q and R may be singular. Estimates of a
+//! suboptimal filter are not drawn: measurements of a phase with a filter are drawn as in any other phase.
 //!
 //! In a model with levels, each group of test j adds to ξ_j a deviation ~ N(0, Σ) with the Σ of its level. Group g,
-//! counted over all levels, the innermost first and in the order in which the design names them, draws p standard
+//! counted over all levels, the innermost first and in the order in which the design names the groups, draws p standard
 //! normals from stream 2⁶⁴ - 1 - g.
 //!
 //! # Seeds
@@ -25,8 +24,8 @@
 //! standard normals), ζ (one for each state that noise ever reaches), then step by step w (one for each state with
 //! process noise, where a transition leads to the step) and v (one for each measured value). So a draw depends on the
 //! seed, j, the design of test j, the model, α and the population, and on nothing else: not on threads, batches, other
-//! tests or the length of the ensemble. It is the same for the same version of kalfit; a later version may draw
-//! differently, and its change log then says so.
+//! tests or the length of the ensemble. One version of kalfit always makes the same draw; a later version may draw
+//! differently, and the change log of that version then says so.
 
 mod designs;
 mod error;
@@ -50,12 +49,12 @@ use kalfit_model::{Alpha, Phase, PhasedModel, Population};
 use kalfit_model::{Evidence, PhasedTest};
 use path::DrawWorkspace;
 
-/// A test that was drawn.
+/// A test drawn from a model, with the true initial states.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawn {
-    /// The test: the design's cells, with drawn values where the design has measured ones.
+    /// The cells of the design, with a drawn value in the place of each measured value.
     pub test: PhasedTest,
-    /// ξ, the initial states, of all phases of the test one after the other.
+    /// ξ of all phases of the test, concatenated.
     pub initial: Vec<f64>,
 }
 
@@ -108,7 +107,7 @@ pub struct Drawn {
 /// ```
 #[derive(Debug)]
 pub struct Simulator {
-    /// Reducer whose phases evaluate tests, with all that enters a phase as its ξ.
+    /// Reducer whose phases evaluate the rows of tests in entering coordinates σ.
     reducer: PhasedReducer,
     laws: Vec<DrawnPhase>,
     /// F with FF' = Σ for the deviations of groups, one for each level, the innermost first.
@@ -125,7 +124,7 @@ struct DrawnPhase {
     root: DMatrix<f64>,
 }
 
-/// What is needed to draw one phase.
+/// Population, reducer and preparer with which one phase is drawn.
 #[derive(Debug, Clone, Copy)]
 struct PhaseDraw<'a> {
     law: &'a DrawnPhase,
@@ -138,7 +137,7 @@ impl Simulator {
     ///
     /// # Errors
     /// A population that does not fit the model or is not a valid law; a coefficient without a value, whatever the
-    /// data; a measured column that its phase reads as an input too.
+    /// data; a measured column that a phase also reads as an input.
     pub fn new(
         model: &PhasedModel,
         alpha: &Alpha,
@@ -169,7 +168,7 @@ impl Simulator {
         self.reducer.phases().iter().zip(&self.laws).map(draw)
     }
 
-    /// Draws the tests with these indices in the ensemble, in order.
+    /// Draws tests `places` of the ensemble, in order.
     ///
     /// # Errors
     /// The error of the first test that fails.
@@ -204,7 +203,7 @@ impl Simulator {
 }
 
 impl Simulator {
-    /// Sum of the deviations that the groups of a test add to its ξ; empty without levels.
+    /// Sum of the deviations that the groups of a test add to ξ, p numbers; empty without levels.
     fn group_deviations(&self, designs: &Designs, place: u64) -> Result<Vec<f64>, SimulateError> {
         if self.levels.is_empty() {
             return Ok(Vec::new());
@@ -241,7 +240,8 @@ impl PhaseDraw<'_> {
         Err(SimulateError::NoRows { test: test.to_owned(), phase: self.law.name.clone(), found })
     }
 
-    /// Draws the phase into its rows, given the final state of the phase before; returns the phase's ξ.
+    /// Writes drawn values of the phase into `rows`, and returns the phase's ξ. `before`: final state of the phase
+    /// before; `group_deviations`: sum of the deviations that the groups of the test add to ξ.
     fn draw(
         &self,
         rows: &mut Test,

@@ -1,4 +1,4 @@
-//! The path of one test, from its initial state to its last measurement (theory §1).
+//! The path of one test, from the initial state to the last measurement (theory §1).
 #![expect(non_snake_case, reason = "the letters of the theory: P0, Q, R, F with FF' = Q")]
 
 use std::collections::HashMap;
@@ -14,7 +14,7 @@ use kalfit_model::{Model, Population};
 /// Largest number of roots of Q that are cached.
 const MAX_CACHED_ROOTS: usize = 1024;
 
-/// A root of Q: kernel states with process noise, and F over them.
+/// F with FF' = Q on the m kernel states with process noise, `states`; F is m × m.
 #[derive(Debug, Clone)]
 struct NoiseRoot {
     states: Vec<usize>,
@@ -33,7 +33,7 @@ pub(super) struct DrawWorkspace {
     x: Vec<f64>,
     scratch: Vec<f64>,
     noise_roots: HashMap<u128, NoiseRoot>,
-    /// P0 of the last test, and its root.
+    /// (P0, F) of the last test with FF' = P0, both r × r; P0 row-major, lower triangle.
     start: (Vec<f64>, DMatrix<f64>),
 }
 
@@ -70,7 +70,7 @@ impl DrawWorkspace {
         xi
     }
 
-    /// Draws the measured values of the phase, given what enters it.
+    /// Draws the measured values of the phase at entering coordinates σ = `entering`.
     pub(super) fn draw_values(&mut self, entering: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
         self.start(entering, random);
         self.values.clear();
@@ -137,7 +137,7 @@ fn measure(
     Ok(())
 }
 
-/// L and D of R = LDL' for the measurements of a step, m × m, row-major; `None` when they are not correlated.
+/// L and D of R = LDL' for the measurements of a step, m × m, row-major; `None` where the noises are not correlated.
 fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64>>, Box<Fault>> {
     let (rows, line) = (step.rows.clone(), step.lines.start);
     let covariances = work.covariances.as_deref().unwrap_or_default();
@@ -159,7 +159,7 @@ fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64
     Ok(R)
 }
 
-/// The root of a transition's Q, from the cache where it is known.
+/// The root of a transition's Q, which is computed only where the cache does not have it.
 fn dense_noise<'a>(noise_roots: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
     if noise_roots.len() >= MAX_CACHED_ROOTS && !noise_roots.contains_key(&transition.digest()) {
         noise_roots.clear();
@@ -175,7 +175,7 @@ fn dense_noise<'a>(noise_roots: &'a mut HashMap<u128, NoiseRoot>, transition: &T
     })
 }
 
-/// Adds Fε, ε ~ N(0, I), element by element.
+/// Draws ε ~ N(0, I) and adds Fε: calls `add(i, F_ic ε_c)` for all i and c.
 pub(super) fn add_noise(F: &DMatrix<f64>, random: &mut ChaCha8Rng, mut add: impl FnMut(usize, f64)) {
     for c in 0..F.ncols() {
         let epsilon = normal(random);

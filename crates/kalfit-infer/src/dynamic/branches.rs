@@ -1,19 +1,20 @@
-//! Branches of a profile: ℓ over a held value is the highest of several maxima, and which of them is highest changes along the way.
+//! Branches of a profile: ℓ_max with one value held is the highest of several local maxima, and the highest branch
+//! changes with the held value.
 
 use kalfit_search::DynamicFit;
 use kalfit_search::ProfileLikelihood;
 use kalfit_search::alike;
 use kalfit_search::{ExchangeablePair, ordered};
 
-/// Loss of ℓ from which on an end is outside every interval: half of χ²₁'s 95 % quantile.
+/// Loss of ℓ beyond which an end of a search is outside every interval: half the 95 % quantile of χ²₁.
 pub(super) const INTERVAL_LOSS: f64 = 1.9208;
-/// Maximal number of other ends that are followed.
+/// Most ends of searches, besides the best end, that are used as starts.
 const MAX_OTHERS: usize = 6;
-/// Relative difference of values up to which two ends are the same.
+/// Relative difference of values up to which two ends count as equal.
 pub(super) const ALIKE: f64 = 1e-3;
 
-/// Other ends of the searches, as sought values, from which a profile may be higher than from the best end: the highest
-/// first.
+/// Sought values at the other ends of the searches, from the highest end on: from such an end a profile may be higher
+/// than from the best end.
 pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
     let least = fit.estimate.log_likelihood - INTERVAL_LOSS;
     let mut kept = vec![fit.sought.clone()];
@@ -26,8 +27,9 @@ pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec
     kept.split_off(1)
 }
 
-/// Starts on other branches for the value in a slot: other ends, and all ends with the process of that value exchanged
-/// for each one that it is exchangeable with. An exchange that does not move the value leads nowhere else.
+/// Starts on other branches for the value in a slot: the other ends, and all ends with the process of the value
+/// exchanged with each exchangeable process. Exchanges that do not move the value are omitted, since such an exchange
+/// leads to an equal profile.
 pub(super) fn others_of_value(
     objective: &ProfileLikelihood<'_>,
     (best, others): (&[f64], &[Vec<f64>]),
@@ -37,7 +39,7 @@ pub(super) fn others_of_value(
     let (own, rest): (Vec<ExchangeablePair>, Vec<_>) = objective.twins.iter().cloned().partition(moving);
     let place = |values: &[f64]| {
         let mut place = ordered(&rest, values);
-        place[slot] = 0.0; // this value is held, so it does not count
+        place[slot] = 0.0; // the value in `slot` is held, and so not compared
         place
     };
     let ends = std::iter::once(best).chain(others.iter().map(Vec::as_slice));
@@ -53,7 +55,8 @@ pub(super) fn others_of_value(
     kept
 }
 
-/// The highest of the maxima found from nearby and from points of other branches, until one is higher than `enough`.
+/// The highest of `nearby` and of the maxima that searches from the points `others` reach; no search follows once a
+/// maximum is above `enough`.
 pub(super) fn highest<T>(
     nearby: Option<T>,
     others: &[Vec<f64>],

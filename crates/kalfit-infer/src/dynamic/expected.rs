@@ -1,6 +1,7 @@
-//! Expected information of (α, μ, Σ) together (theory §13): for a test, Σ_k ½ tr(S⁻¹S_aS⁻¹S_b) + E[e_a'S⁻¹e_b] over its
-//! innovations e, with their tangents along each coordinate. One filter carries P, the predicted state x̂ and the
-//! tangents of both; the random parts of x̂ and of its tangents come from the earlier innovations, which are white.
+//! Expected information of (α, μ, Σ) together (theory §13): for a test, Σ_k ½ tr(S⁻¹S_aS⁻¹S_b) + E[e_a'S⁻¹e_b] over the
+//! innovations e of the test, with the tangents S_a, e_a along each coordinate. One filter carries P, the predicted
+//! state x̂ and the tangents of P and x̂; x̂ and the tangents of x̂ are random through the earlier innovations, which
+//! are white.
 
 use std::collections::BTreeMap;
 
@@ -18,13 +19,14 @@ use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
 use kalfit_search::{DynamicError, DynamicFit};
 
-/// Step of a coordinate of α, and of the tangent basis in standard errors, for differences of coefficients.
+/// Step, for differences of coefficients, of a coordinate of α, and, in standard errors, of a coordinate along the
+/// tangent basis.
 const STEP: f64 = 1e-4;
-/// Number of time steps of a record between two checks whether the caller waits.
+/// Number of time steps of a record between two checks for a stop.
 const STEPS_PER_CHECK: usize = 4096;
 
 /// Covariances from the expected information; `None` where values of single tests are free, where some difference is
-/// not defined, and when the caller no longer waits.
+/// not defined, and once `progress` stops.
 pub(super) fn expected(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -42,15 +44,15 @@ pub(super) fn expected(
     Ok(if progress.stops() { None } else { fit.joint.covariances_of(&sum) })
 }
 
-/// Whether the expected information is available: all tests are rows, over which the optimal filter runs.
+/// Whether the expected information is available: all tests are given by rows, and all phases have the optimal filter.
 pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     let is_rows = |evidence: &Evidence| matches!(evidence, Evidence::Rows(_));
     let all_rows = objective.tests.iter().all(|test| test.phases.iter().all(is_rows));
     all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
 }
 
-/// Units of correlated tests, in an order independent of the order given: the tests of one group of the outermost
-/// level, or each test by itself.
+/// Units of correlated tests: the tests of one group of the outermost level, or, without groups, a single test. The
+/// order does not depend on the order of the tests in the ensemble.
 fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
     let Some(grouping) = objective.grouping() else {
         return objective
@@ -73,14 +75,15 @@ fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
     units
 }
 
-/// The point of a fit, and points to both sides along each coordinate, with the distance between these.
+/// The point of a fit, and, for each coordinate, the points after a step up and down, with the distance between the
+/// two.
 struct Directions {
     centre: RecordPoint,
     all: Vec<([RecordPoint; 2], f64)>,
 }
 
 impl Directions {
-    /// The points about a fit; `None` where (μ, Σ) have no law to some side.
+    /// The points about a fit; `None` where (μ, Σ) after some step is not defined.
     fn of(
         objective: &ProfileLikelihood<'_>,
         fit: &DynamicFit,
@@ -120,7 +123,7 @@ impl Directions {
         Ok(Some(Directions { centre: place(&fit.alpha, state.law())?, all }))
     }
 
-    /// Expected information of a unit of tests; only a part of it when the caller no longer waits.
+    /// Expected information of a unit of tests; incomplete once `progress` stops.
     fn information(
         &self,
         unit: &[GroupedTest<'_>],
@@ -135,7 +138,7 @@ impl Directions {
     }
 }
 
-/// A record at both sides, and the distance between these.
+/// A record after a step up and after a step down along a coordinate, and the distance between the two points.
 struct RecordPair {
     up: RecordMoments,
     down: RecordMoments,
@@ -147,11 +150,11 @@ impl RecordPair {
     where
         T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,
     {
-        // a value between two equal bounds has no sides
+        // a value between two equal bounds cannot move
         if self.width == 0.0 { (up - down) * 0.0 } else { (up - down) * self.width.recip() }
     }
 
-    /// Slopes of a time step, which is `own` at the fit.
+    /// Slopes of a time step between `up` and `down`; `own` is the time step at the fit.
     fn moment(&self, own: &TimeStep, up: TimeStep, down: TimeStep) -> TimeStep {
         let motion = own.motion.as_ref().map(|own| match (up.motion, down.motion) {
             (Some(up), Some(down)) => MotionValues {
@@ -170,7 +173,7 @@ impl RecordPair {
     }
 }
 
-/// State of the filter: P and its tangents; mean and covariance of u = (x̂, tangents of x̂), one after the other.
+/// State of the filter: P, the tangents of P, and mean and covariance of the stacked vector u = (x̂, tangents of x̂).
 struct TangentFilter {
     n: usize,
     variance: DMatrix<f64>,
@@ -193,7 +196,7 @@ impl TangentFilter {
         }
     }
 
-    /// The information from all time steps of a record, as long as the caller waits.
+    /// The information from all time steps of a record; incomplete once `progress` stops.
     fn over(mut self, centre: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
         let mut beside: Vec<[TimeSteps<'_>; 2]> =
             pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
@@ -245,7 +248,7 @@ impl TangentFilter {
         let carried = &self.variance * &own.h;
         let variance = own.h.dot(&carried) + own.noise;
         if variance <= 0.0 {
-            return; // the measurement is certain beforehand, and not informative
+            return; // the prediction is exact, so the measurement has no information
         }
         let gain = &carried / variance;
         let k = slopes.len();

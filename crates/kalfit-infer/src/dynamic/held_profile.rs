@@ -5,11 +5,11 @@
 //! dℓ(α, x)/dα = ∂ℓ/∂α - λ ∂q/∂α there       dℓ(x)/dx = λ, the Lagrange multiplier there
 //! ```
 //!
-//! The inner maximum is that of profiles at a known α; q is the quantity, which depends on α itself where it is a
-//! predicted mean. The maximisation over α begins where the joint law of α and the quantity predicts the maximum, with
-//! the covariance of α given the quantity as the inverse of its curvature: one or two runs of the filters are enough.
-//! Where ℓ(x) is too low there, it begins at other ends of the searches for α as well: the highest of these branches
-//! counts.
+//! The inner maximum is the one of profiles at a known α; q is the quantity, which depends on α too if q is a predicted
+//! mean. The maximisation over α begins where the joint law of α and the quantity predicts the maximum, with the
+//! inverse covariance of α given the quantity as the curvature of -ℓ: one or two runs of the filters are enough. Where
+//! ℓ(x) from this start is too low, further maximisations begin at other ends of the searches for α; ℓ(x) is the
+//! highest maximum.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -23,13 +23,13 @@ use kalfit_search::matrix_gradient;
 use kalfit_search::{DynamicFit, Standing};
 use kalfit_search::{Iterate, ProfileInformation, Quadratic};
 
-/// Tolerance of α, in standard errors: ℓ is then accurate to half its square.
+/// Tolerance t of α, in standard errors: the error of ℓ is then ½t².
 const TOLERANCE: f64 = 1e-3;
-/// Distance of α from the maximum, in standard errors, that is near enough where no step raises ℓ any more.
+/// Distance of α from the maximum, in standard errors, that is accepted where no step raises ℓ.
 const NEAR_ENOUGH: f64 = 2e-2;
 /// Maximal number of steps of α.
 const MAX_STEPS: usize = 25;
-/// Maximal number of lengths tried for one step, each shorter than the one before.
+/// Most lengths tried for one step, each shorter than the previous length.
 const MAX_TRIALS: usize = 8;
 /// Longest step of a logarithm.
 const LONGEST: f64 = 2.0;
@@ -44,9 +44,9 @@ pub(super) trait HeldQuantity: Copy + Sync {
     fn value(self, outer: &HeldProfile<'_, '_>) -> Option<f64>;
     /// Derivative of the quantity along the tangent basis at the estimate.
     fn along(self, law: &AsymptoticLaw<'_>, estimate: &Estimate) -> DVector<f64>;
-    /// Derivative of the quantity by the coordinates of the values that move, at the estimate.
+    /// Derivative of the quantity by the coordinates of the values in `outer.slots`, at the estimate.
     fn slopes(self, outer: &HeldProfile<'_, '_>) -> DVector<f64>;
-    /// Derivative of the quantity by those coordinates at other values, with (μ, Σ) there.
+    /// Derivative of the quantity by the coordinates of the values in `outer.slots`, at any values and any (μ, Σ).
     fn slopes_at(self, outer: &HeldProfile<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>>;
 }
 
@@ -77,11 +77,11 @@ pub(super) struct HeldProfile<'b, 'a> {
     pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) estimate: &'b Estimate,
     law: AsymptoticLaw<'b>,
-    /// Values that may move.
+    /// Slots of the values that may move.
     pub(super) slots: Vec<usize>,
-    /// Covariance of the coordinates of these values.
+    /// Covariance of the coordinates of the values in `slots`.
     alpha: DMatrix<f64>,
-    /// Covariance of these coordinates with those along the tangent basis of (μ, Σ).
+    /// Covariance of the coordinates of the values in `slots` with the coordinates along the tangent basis of (μ, Σ).
     cross: DMatrix<f64>,
     /// Covariance of (μ, Σ) along the tangent basis.
     inner: DMatrix<f64>,
@@ -89,12 +89,12 @@ pub(super) struct HeldProfile<'b, 'a> {
     others: Vec<Vec<f64>>,
 }
 
-/// A maximum with a quantity held, from which to start nearby.
+/// A maximum with a quantity held, at which a search for a maximum nearby starts.
 #[derive(Clone)]
 pub(super) struct WarmStart {
     values: Vec<f64>,
     state: FinalState,
-    /// The point in the coordinates of the state's problem; `None` where it is that of the state itself.
+    /// The point in the coordinates of the state's problem; `None` for the point of the state.
     point: Option<Point>,
     /// Value at which the quantity is held; `None` at the unrestricted maximum.
     at: Option<f64>,
@@ -168,7 +168,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         }
     }
 
-    /// Covariance of the values with a quantity, and variance of the quantity.
+    /// Covariance of the values in `slots` with a quantity, and variance of the quantity.
     fn with(&self, what: impl HeldQuantity) -> (DVector<f64>, f64) {
         let (along, slopes) = (what.along(&self.law, self.estimate), what.slopes(self));
         let with = &self.cross * &along + &self.alpha * &slopes;
@@ -176,12 +176,12 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         (with, variance)
     }
 
-    /// Standard error of a quantity; `None` where it has none.
+    /// Standard error of a quantity; `None` where the quantity has no standard error.
     pub(super) fn error(&self, what: impl HeldQuantity) -> Option<f64> {
         Some(self.with(what).1.sqrt()).filter(|error| error.is_finite() && *error > 0.0)
     }
 
-    /// Covariance of the values given a quantity, and their regression coefficients on the quantity.
+    /// Covariance of the values in `slots` given a quantity, and regression coefficients of the values on the quantity.
     fn given(&self, what: impl HeldQuantity) -> (DMatrix<f64>, DVector<f64>) {
         let (with, variance) = self.with(what);
         if variance > 0.0 && variance.is_finite() {
@@ -191,7 +191,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         }
     }
 
-    /// The values after a step in the coordinates of those that may move.
+    /// The values after a step in the coordinates of the values in `slots`.
     fn moved(&self, values: &[f64], step: &DVector<f64>) -> Vec<f64> {
         let mut moved = values.to_vec();
         for (&s, d) in self.slots.iter().zip(step.iter()) {
@@ -202,7 +202,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         moved
     }
 
-    /// The best (μ, Σ) at these values with the quantity held, and the gradient of ℓ there.
+    /// The best (μ, Σ) at `values` with the quantity held, and the gradient of ℓ at this (μ, Σ).
     fn at(&self, (what, x): (impl HeldQuantity, f64), values: Vec<f64>, near: &WarmStart) -> Option<HeldPoint> {
         let objective = self.objective;
         let reduced = objective.reduce(&values).ok()?;
@@ -222,7 +222,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         gradient.iter().all(|g| g.is_finite()).then_some(HeldPoint { values, state, place, slope, gradient })
     }
 
-    /// Newton's step among the values that do not stand at a bound beyond which ℓ rises, and its squared decrement;
+    /// Newton's step of the values that are not at a bound beyond which ℓ rises, and the squared decrement of the step;
     /// `None` where ℓ does not curve downward.
     fn step(&self, quadratic: &Quadratic<'_>, here: &HeldPoint) -> Option<(DVector<f64>, f64)> {
         let is_held = |s: usize| self.objective.coordinates[s].is_held(here.values[s], here.gradient[s]);
@@ -267,8 +267,8 @@ impl Holds for HeldProfile<'_, '_> {
 }
 
 impl HeldProfile<'_, '_> {
-    /// The highest maximum with a quantity held that is found from nearby or, where that is too low, from other
-    /// branches.
+    /// The highest maximum with a quantity held that a search from nearby finds or, where this maximum is too low,
+    /// searches on other branches.
     pub(super) fn highest(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
         let from = |other: &[f64]| {
             let (values, state) = (other.to_vec(), self.estimate.state.clone());

@@ -12,12 +12,12 @@ use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
 use kalfit_search::{Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, flat};
 
-/// Standard error of a logarithm beyond which the data do not determine it.
+/// Standard error of a logarithm beyond which the value counts as not determined by the data.
 const UNDETERMINED: f64 = 10.0;
 
-/// Uncertainty of μ and Σ, including that of α, and of each free value of α. `progress` hears which interval is sought;
-/// once it stops the work, intervals are those from standard errors, these come from the observed information where the
-/// expected one is not complete, and fits without each test are left out.
+/// Uncertainty of μ and Σ with α estimated, and of each free value of α. Reports to `progress` which interval is
+/// sought. Once `progress` stops, intervals come from standard errors, standard errors come from the observed
+/// information where the expected information is not complete, and fits without each test are omitted.
 pub fn infer(
     model: &PhasedModel,
     (labels, tests): (&Labels, &[PhasedTest]),
@@ -53,7 +53,7 @@ pub fn infer(
             let mut other = fit.estimate.clone();
             other.state.joint = Some(law::joint(model, fit, asked));
             let inference = inferred(&other, &fit.reductions, wald, progress);
-            // score tests stay those of the observed information
+            // score tests always use the observed information
             let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
             (inference, parameter_inferences(model, fit, asked))
         }
@@ -92,7 +92,7 @@ fn profiles(
     Ok(())
 }
 
-/// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
+/// The estimate with the law of (α, μ, Σ) from the observed information, and the covariances of this law.
 pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
     let observed = spread(objective, fit, fit.joint.covariances_with(&flat::examined_eigenvalues(objective, fit)));
     let joint = law::joint(objective.model, fit, &observed);
@@ -101,15 +101,15 @@ pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (
     (estimate, observed)
 }
 
-/// Covariances in which the variances of noise covariances are converted from those of their sought values.
+/// Converts the variances of noise covariances in `covariances`, which are variances of the sought values.
 fn spread(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut covariances: ValueCovariances) -> ValueCovariances {
     let known = (&fit.slots, &objective.coordinates[..]);
     objective.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
     covariances
 }
 
-/// Covariances from the expected information, or an error where that is not available; `None` when the caller no longer
-/// waits.
+/// Covariances from the expected information, or an error where the expected information is not available; `None` once
+/// `progress` stops.
 fn of_expectation(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -123,7 +123,7 @@ fn of_expectation(
     Ok(found)
 }
 
-/// Standard errors by the delta method; Wald intervals in the coordinate, so that those of positive values are
+/// Standard errors by the delta method; Wald intervals in the coordinate, so that the interval of a positive value is
 /// positive.
 fn parameter_inferences(
     model: &PhasedModel,

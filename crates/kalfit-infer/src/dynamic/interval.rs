@@ -1,8 +1,8 @@
-//! Profile-likelihood intervals of α, up to where the best ℓ with one value held is half of χ²₁'s 95 % quantile below
+//! Profile-likelihood intervals of α, with ends where ℓ_max with one value held is half the 95 % quantile of χ²₁ below
 //! the maximum.
 //!
-//! The best ℓ is that of the highest branch: other ends of the searches, and ends found about an end, are tried before
-//! a value counts as unlikely.
+//! ℓ_max is taken on the highest branch: searches from other ends, and around an end, come before a value counts as
+//! unlikely.
 
 use crate::dynamic::branches::{ALIKE, highest, others, others_of_value};
 use crate::{Held, Holds, Profile, QUANTILE, SharedProgress};
@@ -18,17 +18,17 @@ use kalfit_search::{SearchEnd, SearchState};
 
 /// Distance of a logarithm from the maximum at which an interval is open.
 const OPEN_DISTANCE: f64 = 25.0;
-/// Part of the size suggested by the data from which a value at zero is followed.
+/// Value, as a fraction of the size that the data suggest, that replaces a value at zero.
 const SMALLEST_START: f64 = 1e-6;
 /// Longest first step of a logarithm.
 const MAX_FIRST_STEP: f64 = 3.0;
 
-/// Number of free values up to which intervals are profiled; with more values Wald's remain.
+/// Largest number of free values whose intervals are profiled; with more values all intervals are Wald intervals.
 pub const MOST_PROFILED: usize = 40;
 
-/// Replaces Wald intervals by profile intervals, at values that the data determine and at those on a bound. Returns the
-/// number of such values that keep Wald's: covariances of noises, which move with the variances of these, and all where
-/// there are very many.
+/// Replaces Wald intervals by profile intervals for the values that the data determine and the values on a bound.
+/// Returns the number of these values that keep Wald intervals: covariances of noises, which move with the variances of
+/// the noises, or all for more than [`MOST_PROFILED`] values.
 pub(crate) fn profiles(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -59,13 +59,13 @@ pub(crate) fn profiles(
     Ok(kept)
 }
 
-/// The value in a slot, held at some distance of its coordinate from its maximum; if that maximum is zero, from a value
-/// too small to affect ℓ, as no logarithm leads away from zero.
+/// The value in a slot, held at a distance, in the coordinate of the slot, from the value at the maximum of ℓ. If the
+/// value at the maximum is zero and the coordinate a logarithm, distances start at a value too small to affect ℓ.
 struct HeldValue<'b, 'a, 'p> {
     objective: &'b ProfileLikelihood<'a>,
     best: &'b ProfilePoint,
     slot: usize,
-    /// Value from which these distances are measured.
+    /// Value from which distances of the held value are measured.
     from: f64,
     progress: &'b SharedProgress<'p>,
 }
@@ -87,7 +87,7 @@ impl Holds for HeldValue<'_, '_, '_> {
 
     fn held(&self, (): (), way: f64, near: &Branch) -> Option<Held<Branch>> {
         let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way));
-        // where ℓ is not defined a value is as unlikely as possible
+        // where ℓ is not defined, the value is rejected: ℓ counts as -∞
         let nowhere = || Held { value: f64::NEG_INFINITY, slope: 0.0, near: near.clone() };
         let held = |found: Branch| Held {
             value: found.iterate.value(),
@@ -117,7 +117,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         HeldValue { objective, best, slot, from, progress }
     }
 
-    /// Both ends; `error`: standard error of the coordinate, if it has one. `None` on a side where no value is unlikely
+    /// Both ends; `error`: standard error of the coordinate, if known. `None` on a side where no value is unlikely
     /// enough.
     fn ends(&self, name: String, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
         let coordinate = self.objective.coordinates[self.slot];
@@ -144,7 +144,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         [(0, -1.0), (1, 1.0)].map(one)
     }
 
-    /// Approximate distance of an end: from the standard error, or at a bound from the slope there.
+    /// Approximate distance of an end: from the standard error, or at a bound from the slope of ℓ at the bound.
     fn first_step(&self, error: Option<f64>) -> f64 {
         let slope = self.best.gradient[self.slot].abs();
         match error {
@@ -154,8 +154,8 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         }
     }
 
-    /// The best point with the value held at `tried`: from nearby, from other ends where that is too low, and from
-    /// around it where it is close to the quantile.
+    /// The best point with the value held at `tried`: by a search from nearby, from other ends where the maximum is too
+    /// low, and around the maximum where ζ is close to the quantile.
     fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
         let from = |values: &[f64]| self.held_from(&near.iterate, values, tried);
         let at = |root: f64| self.best.value() - 0.5 * root * root;
@@ -168,7 +168,8 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         }
         let before = end.iterate.values.clone();
         let mut progress = self.progress;
-        let iterate = explore::around(self.objective, end, self.slot, &mut progress).iterate; // ℓ may be higher elsewhere
+        // close to the quantile, a higher maximum around the end would change the interval
+        let iterate = explore::around(self.objective, end, self.slot, &mut progress).iterate;
         let is_new = !alike(&before, &iterate.values, ALIKE);
         if is_new {
             others.push(iterate.values.clone());
@@ -176,7 +177,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         Some(Branch { iterate, others, is_new })
     }
 
-    /// The end of a search with the value held at `tried`, from these values alone.
+    /// The end of a search with the value held at `tried`, from a start at `values`.
     fn held_from(&self, near: &ProfilePoint, values: &[f64], tried: f64) -> Option<SearchEnd> {
         let mut values = values.to_vec();
         values[self.slot] = tried;

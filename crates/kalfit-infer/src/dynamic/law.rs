@@ -10,8 +10,8 @@ use kalfit_search::ValueCovariances;
 use kalfit_search::matrix_derivatives;
 use kalfit_search::{Coordinate, DynamicFit, Standing};
 
-/// The covariance of the inner coordinates and of the free values, with the derivatives of Σ by free values that stand
-/// in matrices of the structures.
+/// The covariance of the inner coordinates and of the free values, with the derivatives of Σ by free values that occur
+/// in matrices of the covariance structures.
 pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCovariances) -> JointLaw {
     let coordinates = Coordinate::of(model, &fit.slots);
     let (state, sigma) = (&fit.estimate.state, &fit.estimate.covariance);

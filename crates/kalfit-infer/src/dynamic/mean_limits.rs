@@ -1,5 +1,5 @@
-//! Profile-likelihood limits of predicted means where α is free: such a mean is linear in (μ, γ), with weights that
-//! depend on α.
+//! Profile-likelihood limits of predicted means where α is free: a predicted mean is linear in (μ, γ), with weights
+//! that depend on α.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -16,15 +16,15 @@ use kalfit_search::ProfileLikelihood;
 
 /// Step of a coordinate for derivatives of weights.
 const STEP: f64 = 1e-4;
-/// Relative change of a mean up to which it counts as known: nothing that was estimated moves it.
+/// Largest relative change of a mean at which the mean counts as known: no estimated quantity moves such a mean.
 const MIN_SENSITIVITY: f64 = 1e-12;
 
-/// All predicted means at an α, in one order; `None` where they have no value.
+/// All predicted means at an α, in a fixed order; `None` where the means are not defined.
 pub type MeansAt<'a> = &'a (dyn Fn(&Alpha) -> Option<Vec<MeanCombination>> + Sync);
 
-/// Likelihood-ratio limits of each predicted mean: the mean's values whose ℓ_max, over α, μ and Σ, is within half the
-/// square of `quantile` of the maximum. Both limits are the estimate where no estimated quantity moves the mean; `None`
-/// where a limit is not found, as once `progress` stops the work.
+/// Likelihood-ratio limits of each predicted mean: the values of the mean with ℓ_max, over α, μ and Σ, at most ½
+/// `quantile`² below the maximum. Both limits are the estimate where no estimated quantity moves the mean; `None` where
+/// a limit is not found, or once `progress` stops.
 pub fn mean_limits(
     (model, tests): (&PhasedModel, &[PhasedTest]),
     fit: &DynamicFit,
@@ -65,7 +65,7 @@ struct Means<'o, 'b, 'a> {
 
 impl Holds for Means<'_, '_, '_> {
     const PRECISION: f64 = 1e-4;
-    /// Number of the mean.
+    /// Index of the mean.
     type What = usize;
     type Near = WarmStart;
 

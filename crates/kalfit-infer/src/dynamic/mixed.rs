@@ -1,7 +1,8 @@
 //! Change of the scores of all elements of (μ, Σ) with α, which the score test of a constraint needs where α is free.
 //!
-//! The information of (α, μ, Σ) is along the free directions of (μ, Σ). An element that a constraint holds is in none
-//! of them, so its mixed information with α is computed separately, by differences of exact scores at fixed (μ, Σ).
+//! The information of (α, μ, Σ) is along the free directions of (μ, Σ). An element that a constraint holds is in no
+//! free direction, so the mixed information of the element with α is computed separately, by differences of exact
+//! scores at fixed (μ, Σ).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,15 +13,16 @@ use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
 use kalfit_search::two_sides;
 
-/// Step of a difference, in logarithms and in parts of standard errors.
+/// Step of a difference: of a logarithm, or as a fraction of a standard error.
 const STEP: f64 = 1e-4;
-/// Largest step, as a part of a value's size.
+/// Largest step, as a fraction of a value's size.
 const MAX_PART: f64 = 1e-2;
-/// Number of values above which score tests are made at the estimated α, as if it were known.
+/// Largest number of values with mixed information; with more values, score tests treat α as known.
 const MAX_VALUES: usize = 24;
 
-/// Mixed information of the values that move at the end of a fit; `None` where none moves or no element is held, where
-/// very many values or those of single tests move, and where ℓ is not defined close to the end.
+/// Mixed information of the values that move at the end of a fit and the elements of (μ, Σ). `None` where no value
+/// moves or no element is held, where more than [`MAX_VALUES`] values or values of single tests move, and where ℓ is
+/// not defined close to the end.
 pub(super) fn mixed(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -45,7 +47,7 @@ pub(super) fn mixed(
     })
 }
 
-/// -∂²ℓ/∂α∂(every element) for one value, by differences to both sides where there are both.
+/// -∂²ℓ/∂α∂(every element) for one value, by a central difference, or by a one-sided difference at a bound.
 fn row(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -67,7 +69,7 @@ fn row(
     (width > 0.0).then(|| (lower.1 - upper.1) / width)
 }
 
-/// Scores of all elements at other values but the (μ, Σ) of the fit.
+/// Scores of all elements at other values of α and the (μ, Σ) of the fit.
 fn scores(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, values: &[f64]) -> Option<DVector<f64>> {
     let reduced = objective.reduce(values).ok()?;
     let at = fit.estimate.state.at_other_alpha(&reduced.reductions, &objective.alpha(values)).ok()??;

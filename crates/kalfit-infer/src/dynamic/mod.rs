@@ -1,4 +1,4 @@
-//! How far free values of α can be trusted: standard errors, intervals and likelihood-ratio tests of a fit whose α was sought.
+//! Uncertainty where α is free: standard errors, intervals and likelihood-ratio tests of a fit whose α was sought.
 
 mod branches;
 mod expected;

@@ -22,7 +22,7 @@ const MOST_PROFILED: usize = 60;
 /// Number of free values above which no quantity has a profile interval.
 const MOST_VALUES: usize = 24;
 
-/// Replaces Wald intervals of μ and Σ by profile intervals, and counts those that remain Wald's.
+/// Replaces Wald intervals of μ and Σ by profile intervals, and counts the remaining Wald intervals.
 pub(crate) fn profiles(
     (objective, fit): (&ProfileLikelihood<'_>, &DynamicFit),
     estimate: &Estimate,
@@ -34,7 +34,7 @@ pub(crate) fn profiles(
     let moved = moved_elements(objective, fit);
     let mut wanted = profiled(estimate, &free(estimate, &inference.unidentified));
     wanted.retain(|what| !matches!(what, Holdable::Covariance(i, j) if moved.contains(&(*i, *j))));
-    // covariances last: their correlations are more informative
+    // covariances last: the correlations of the states are more informative
     wanted.sort_by_key(|what| matches!(what, Holdable::Covariance(..)));
     let has_profile = |what: &Holdable| {
         estimate.criterion == Criterion::Ml || !matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_))
@@ -53,7 +53,7 @@ pub(crate) fn profiles(
     intervals.compute_profiles((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);
 }
 
-/// Off-diagonal elements of Σ that depend on parameters in matrices of its structure.
+/// Off-diagonal elements of Σ that depend on parameters in matrices of the covariance structure.
 fn moved_elements(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> BTreeSet<(usize, usize)> {
     let derivatives = matrix_derivatives(objective.model, &fit.alpha, objective.slots, &fit.estimate.covariance);
     let elements = &fit.estimate.state.problem.covariance.elements;
@@ -61,7 +61,8 @@ fn moved_elements(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> BTreeS
     elements.all().filter(moves).collect()
 }
 
-/// Correlations that are parameters themselves, with those parameters, whose intervals they take.
+/// Correlations that are parameters of the model, each with the parameter, whose interval is the interval of the
+/// correlation.
 fn entries<'p>(
     objective: &ProfileLikelihood<'_>,
     parameters: &'p [ParameterInference],

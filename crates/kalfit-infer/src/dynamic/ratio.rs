@@ -1,10 +1,10 @@
 //! Likelihood-ratio tests where α is estimated too.
 //!
-//! The restriction of (μ, Σ) by the hypothesis is judged at the model's α. The law of the whole statistic: with nothing
-//! on a boundary χ² with all the degrees of freedom r. One quantity on its boundary, a variance or a value of α, makes
-//! the tangent cone a half space: ½χ²_{r-1} + ½χ²_r, whatever else is estimated. Any narrower cone lies within a half
-//! space, and the projection onto a part is no longer than that onto the whole, so the same mixture bounds the law from
-//! above when several are on their boundaries.
+//! The restriction of (μ, Σ) by the hypothesis is judged at the model's α. The law of the whole statistic, with nothing
+//! on a boundary, is χ² with all r degrees of freedom. One quantity on its boundary, a variance or a value of α, makes
+//! the tangent cone a half space: ½χ²_{r-1} + ½χ²_r, for any other estimated quantities. With several quantities on a
+//! boundary, the cone is part of a half space, and the projection onto a part is no longer than the projection onto the
+//! whole, so this mixture bounds the law from above.
 
 use crate::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
 use crate::{GoesOn, NotNestedParameter, Restricted, fit_null, likelihood_ratio, replicates, restricted};
@@ -19,10 +19,10 @@ use kalfit_search::{DynamicFit, Settings};
 /// Why a hypothesis cannot be tested.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DynamicRatioError {
-    /// Its μ and Σ are not within the model's, or nothing is restricted.
+    /// The hypothesis allows μ or Σ that the model does not, or restricts nothing.
     #[error(transparent)]
     Structure(#[from] NotNested),
-    /// Its α is not within the model's.
+    /// The hypothesis allows α that the model does not.
     #[error(transparent)]
     Parameter(#[from] NotNestedParameter),
     /// μ and Σ of the hypothesis cannot be estimated at the model's α.
@@ -33,7 +33,7 @@ pub enum DynamicRatioError {
 /// Tests a hypothesis within a model, both fitted to the same tests.
 ///
 /// # Errors
-/// A hypothesis that is not within the model, or that restricts nothing.
+/// Fails for a hypothesis that is not within the model, or that restricts nothing.
 pub fn dynamic_ratio(
     null: (&PhasedModel, &DynamicFit),
     wide: (&PhasedModel, &DynamicFit),
@@ -54,7 +54,8 @@ pub fn dynamic_ratio(
     })
 }
 
-/// Likelihood ratio of the hypothesis about μ and Σ, at the model's α; `None` when it restricts nothing there.
+/// Likelihood ratio of the hypothesis about μ and Σ, at the model's α; `None` when the hypothesis restricts neither μ
+/// nor Σ at this α.
 fn population(
     null: &PhasedModel,
     wide: (&PhasedModel, &DynamicFit),
@@ -103,8 +104,8 @@ fn is_half_space(law: &ReferenceLaw) -> bool {
         && !law.is_bound
 }
 
-/// Draws ensembles with new data from the hypothesis, and fits hypothesis and model to each, α included. Replicate b is
-/// the b-th round of the tests that [`Simulator`] draws with the seed.
+/// Draws ensembles with new data from the hypothesis, and fits α, μ and Σ of hypothesis and model to each ensemble.
+/// Replicate b is the b-th round of the tests that [`Simulator`] draws with the seed.
 ///
 /// # Errors
 /// Data cannot be drawn for these tests.
@@ -119,7 +120,7 @@ pub fn dynamic_bootstrap(
     Ok(found.expect("nobody stops it"))
 }
 
-/// As [`dynamic_bootstrap`], as long as `goes_on` allows; `None` once it does not.
+/// Result of the bootstrap as from [`dynamic_bootstrap`]; `None` once `goes_on` returns false.
 ///
 /// # Errors
 /// As [`dynamic_bootstrap`].
@@ -156,7 +157,7 @@ fn certified(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest], setting
     (fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified).then_some(fit.estimate.log_likelihood)
 }
 
-/// The model with free parameters starting at their values in a fit: at the mean of their levels.
+/// The model with each free parameter starting at the estimate of a fit: the mean over the levels of the parameter.
 pub fn started(model: &PhasedModel, (of, fit): (&PhasedModel, &DynamicFit)) -> PhasedModel {
     let mut parameters = model.shared().parameters.clone();
     for (index, parameter) in parameters.iter_mut().enumerate() {

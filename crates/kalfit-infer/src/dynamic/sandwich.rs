@@ -1,7 +1,7 @@
 //! The sandwich where α is free: H⁻¹ (Σ_j s_j s_j') H⁻¹ with the scores s_j of the tests in α, μ and Σ together.
 //!
-//! A value of a single test has a score of zero there, at the maximum, and in every other test; so it adds nothing to the sum, and
-//! its own variance stays that of the observed information.
+//! A value of a single test has, at the maximum, a score of zero in this test and in every other test; so the value
+//! adds nothing to the sum, and the variance of the value comes from the observed information.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,7 +11,7 @@ use kalfit_search::ValueCovariances;
 use kalfit_search::matrix_gradient;
 use kalfit_search::{DynamicError, DynamicFit};
 
-/// The sandwich of the covariances of the observed information and the spread of the tests' scores.
+/// The sandwich H⁻¹ (Σ_j s_j s_j') H⁻¹, with H⁻¹ from `observed`.
 pub(crate) fn sandwich(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,

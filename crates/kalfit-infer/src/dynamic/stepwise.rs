@@ -1,8 +1,8 @@
-//! Tests at an α, μ and Σ as sequences of time steps: motions of the states, and scalar measurements of them.
+//! Tests at an α, μ and Σ as sequences of time steps: motions and scalar measurements of the states.
 //!
 //! The entry into a phase is a motion like any other, from the last state of the phase before; the first entry starts
-//! from no states. The tests of a group follow each other, and the parts of ξ that its groups contribute stand before
-//! their states. Correlated noises of a step are states of that step.
+//! from no states. The tests of a group follow each other; the effects of the groups of a test are states that precede
+//! the states of the phase. Correlated noises of a step are further states during the step.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,11 +17,11 @@ use kalfit_search::ProfileLikelihood;
 pub(super) struct RecordPoint {
     reducer: PhasedReducer,
     law: InitialLaw,
-    /// Roots of the covariances of tests and of their groups, from the innermost on.
+    /// Roots F of the covariances FF' of the per-test effects, then of each level of groups from the innermost on.
     roots: Vec<DMatrix<f64>>,
 }
 
-/// A test and its groups, from the innermost on.
+/// A test, and the indices of the test's groups from the innermost level on.
 pub(super) struct GroupedTest<'t> {
     pub(super) test: &'t PhasedTest,
     pub(super) groups: Vec<usize>,
@@ -32,32 +32,32 @@ pub(super) struct RecordMoments {
     sections: Vec<Section>,
 }
 
-/// A phase of a test: the entry into it, and its steps.
+/// A phase of a test: the entry into the phase, and the steps of the phase.
 struct Section {
     entry: MotionValues,
     design: Design,
     data: Data,
-    /// (i, j, covariance) of noises of the same step, by scalar measurement.
+    /// (i, j, covariance) of the noises of the scalar measurements i and j, which are of one step.
     covariances: Vec<(usize, usize, f64)>,
-    /// Number of states that stand before those of the phase.
+    /// Number of group effects, which are states that precede the states of the phase.
     held: usize,
 }
 
-/// x → φx + b + w, w ~ N(0, Q), or the slopes of φ, Q and b; φ has as many columns as there were states.
+/// x → φx + b + w, w ~ N(0, Q), or the slopes of φ, Q and b; φ is (states after) × (states before).
 pub(super) struct MotionValues {
     pub(super) phi: DMatrix<f64>,
     pub(super) noise: DMatrix<f64>,
     pub(super) input: DVector<f64>,
 }
 
-/// h, R and z - d of a scalar measurement, or their slopes.
+/// h, R and z - d of a scalar measurement, or the slopes of h, R and z - d.
 pub(super) struct LineValues {
     pub(super) h: DVector<f64>,
     pub(super) noise: f64,
     pub(super) value: f64,
 }
 
-/// A motion and the measurements after it.
+/// A motion, and the measurements after the motion.
 pub(super) struct TimeStep {
     pub(super) motion: Option<MotionValues>,
     pub(super) lines: Vec<LineValues>,
@@ -88,7 +88,7 @@ impl RecordPoint {
         Ok(RecordMoments { sections })
     }
 
-    /// The phases of a test. `last`: the test before, and its number of states at the end.
+    /// The phases of a test. `last`: the previous test, and the number of states at the end of the previous test.
     fn sections(
         &self,
         member: &GroupedTest<'_>,
@@ -122,8 +122,8 @@ impl RecordPoint {
         Ok(sections)
     }
 
-    /// Adds the contributions of groups to an entry: those of groups shared with the test before stay, other groups are
-    /// new.
+    /// Adds the effects of groups to an entry: states of groups shared with the previous test are kept unchanged,
+    /// states of all other groups start anew from the groups' Σ.
     fn groups(
         &self,
         entry: &mut MotionValues,
@@ -168,7 +168,7 @@ impl RecordPoint {
 }
 
 impl Section {
-    /// Number of states at the end of the phase, including those that stand before.
+    /// Number of states at the end of the phase, including the group effects.
     fn states(&self) -> usize {
         self.held + self.design.frame.n
     }
@@ -177,7 +177,7 @@ impl Section {
         DMatrix::from_row_slice(self.design.frame.n, self.design.frame.p, &self.design.frame.sensitivity)
     }
 
-    /// The entry from `before` states, no part of which is kept yet; `own`: the contribution of the mean.
+    /// The entry from `before` states, with φ = 0; `own`: the contribution of the mean.
     fn start(&self, before: usize, own: DVector<f64>) -> MotionValues {
         let (held, n, r) = (self.held, self.design.frame.n, self.design.frame.r);
         let mut entry = MotionValues::zero_motion((held + n, before));
@@ -202,13 +202,13 @@ impl RecordMoments {
 pub(super) struct TimeSteps<'r> {
     record: &'r RecordMoments,
     section: usize,
-    /// The next step of the section; `None` before the entry into it.
+    /// Index of the next step of the section; `None` before the entry into the section.
     step: Option<usize>,
-    /// Number of inputs that were taken.
+    /// Number of inputs of the section's data that earlier steps took.
     inputs: usize,
-    /// Number of covariances of noises that were taken.
+    /// Number of the section's covariances of noises that earlier steps took.
     crossed: usize,
-    /// Number of noises that are states of the present step.
+    /// Number of noises that are states during the present step.
     noise_states: usize,
 }
 
@@ -255,7 +255,7 @@ impl TimeSteps<'_> {
         &left[..own]
     }
 
-    /// φ, Q and b of a transition, for which inputs are taken.
+    /// φ, Q and b of a transition; takes the inputs b from the section's data.
     fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
         let (n, held) = (section.design.frame.n, section.held);
         let mut motion = MotionValues::identity_motion(held + n);
@@ -276,7 +276,7 @@ impl Section {
         step.rows.clone().filter(is_crossed).collect()
     }
 
-    /// Covariance of these noises.
+    /// Covariance of `noises`, noises × noises.
     fn covariance(&self, step: &DesignStep<'_>, noises: &[usize], crossed: &[(usize, usize, f64)]) -> DMatrix<f64> {
         let mut covariance = DMatrix::zeros(noises.len(), noises.len());
         for (k, row) in noises.iter().enumerate() {
@@ -292,7 +292,8 @@ impl Section {
         covariance
     }
 
-    /// A scalar measurement on `states` states; `noise`: index of its noise among those that are states.
+    /// A scalar measurement on `states` states; `noise`: index of the measurement's noise among the noises that are
+    /// states; `None` for an uncorrelated noise.
     fn line(&self, (line, row): (usize, usize), (states, noise): (usize, Option<usize>)) -> LineValues {
         let (of, terms) = self.design.terms(line);
         let mut h = DVector::zeros(states);
@@ -306,7 +307,7 @@ impl Section {
 }
 
 impl MotionValues {
-    /// A motion of zeros, (to, from) these numbers of states: the slopes of a constant motion.
+    /// A motion with φ = 0 (`to` × `from`), Q = 0 and b = 0: the slopes of a constant motion.
     pub(super) fn zero_motion((to, from): (usize, usize)) -> MotionValues {
         MotionValues { phi: DMatrix::zeros(to, from), noise: DMatrix::zeros(to, to), input: DVector::zeros(to) }
     }
@@ -316,15 +317,15 @@ impl MotionValues {
         MotionValues { phi: DMatrix::identity(n, n), ..MotionValues::zero_motion((n, n)) }
     }
 
-    /// Adds noise with this root to states from `first` on.
+    /// Adds noise with the root `root` to the states from `first` on.
     fn spread(&mut self, root: &DMatrix<f64>, first: usize) {
         let n = root.nrows();
         let mut noise = self.noise.view_mut((first, first), (n, n));
         noise += root * root.transpose();
     }
 
-    /// This motion from states the last `before` of which are noises, to states that end with noises of this
-    /// covariance.
+    /// This motion with noises as additional last states: `before` noises in the states before, noises with
+    /// `covariance` in the states after.
     fn with_noises(&self, before: usize, covariance: &DMatrix<f64>) -> MotionValues {
         let ((to, from), now) = (self.phi.shape(), covariance.nrows());
         let mut motion = MotionValues::zero_motion((to + now, from + before));

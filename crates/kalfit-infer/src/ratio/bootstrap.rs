@@ -1,8 +1,7 @@
 //! The parametric bootstrap of a likelihood ratio: ensembles drawn from the hypothesis, both models fitted to each.
 //!
 //! The information of a test about ξ is d = Rξ + e, e ~ N(0, I) on the rows of R that are not zero. So new ensembles
-//! are drawn exactly as reductions, without any filter. The remaining part of each log-likelihood does not change the
-//! ratio.
+//! are drawn exactly as reductions, without any filter. The constants of the reductions do not change the ratio.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +23,7 @@ use kalfit_model::unpack;
 pub struct Bootstrap {
     /// Number of ensembles.
     pub replicates: usize,
-    /// Replicate b draws from stream b of ChaCha8 with this seed, whatever the threads.
+    /// Seed of ChaCha8; replicate b draws from stream b, for any number of threads.
     pub seed: u64,
 }
 
@@ -41,8 +40,8 @@ pub struct BootstrapResult {
     pub std_error: f64,
 }
 
-/// Draws ensembles from the hypothesis and tests it in each. `statistic` is the statistic of the data, `reductions` are
-/// those that the alternative was fitted to.
+/// Draws ensembles from the hypothesis, and computes the likelihood-ratio statistic of each ensemble. `statistic` is
+/// the statistic of the data; `reductions` are the reductions of the alternative's fit.
 pub fn bootstrap(
     null: &Estimate,
     alternative: &Estimate,
@@ -53,10 +52,10 @@ pub fn bootstrap(
     bootstrap_while(null, alternative, reductions, (statistic, bootstrap), &mut |_| true).expect("nobody stops it")
 }
 
-/// Called every few replicates with the number done; returns whether to go on.
+/// Function that is called every few replicates with the number of finished replicates, and returns whether to go on.
 pub type GoesOn<'a> = &'a mut dyn FnMut(usize) -> bool;
 
-/// As [`bootstrap`], but `None` as soon as `goes_on` returns false.
+/// Result of the bootstrap as from [`bootstrap`], but `None` as soon as `goes_on` returns false.
 pub fn bootstrap_while(
     null: &Estimate,
     alternative: &Estimate,
@@ -76,8 +75,8 @@ pub fn bootstrap_while(
     Some(BootstrapResult::of(&found, statistic))
 }
 
-/// Computes replicates in parallel, in chunks. Each depends on its number alone, so the size of the chunks changes
-/// nothing.
+/// Computes replicates in parallel, in chunks. Replicate b depends only on b, so the results do not depend on the size
+/// of the chunks.
 pub(crate) fn replicates<T: Send>(
     count: usize,
     one: impl Fn(usize) -> T + Sync + Send,
@@ -128,19 +127,20 @@ fn ratio(
     (found >= -1e-7).then(|| found.max(0.0))
 }
 
-/// The estimate of the hypothesis as values of the model; regressions that only the model has get coefficients of zero.
+/// The estimate of the hypothesis as values of the model; regressions that the hypothesis does not have get
+/// coefficients of zero.
 pub(super) fn as_model_values(null: &Estimate, regression_indices: &[usize], coefficients: usize) -> Population {
     let mut all = vec![0.0; coefficients];
     regression_indices.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
     Population { coefficients: all, ..Population::from(null) }
 }
 
-/// The reductions with a selection of their covariates.
+/// The reductions with only the covariates at `regression_indices`.
 pub(super) fn select_covariates(reductions: &Reductions, regression_indices: &[usize]) -> Reductions {
     reductions.clone().with_covariates(regression_indices)
 }
 
-/// A certified fit from the true values or, when that fails, from a start that the data give.
+/// A certified fit from the true values or, when that fails, from a start computed from the data.
 fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
@@ -148,15 +148,15 @@ fn certified(state: &FinalState, reductions: &Reductions, start: &Population) ->
         .or_else(|| fit(reductions, &structure, settings, &mut Silent).ok().filter(|e| e.stop == Stop::Certified))
 }
 
-/// Draws new data for the same tests.
+/// Draws new data for the tests of `reductions`.
 struct Draw<'a> {
     reductions: &'a Reductions,
-    /// Numbers of the tests in the order of their ids, so that draws do not depend on the order of the tests.
+    /// Indices of the tests in the order of the tests' ids, so that draws do not depend on the order of the tests.
     order: Vec<usize>,
     null: &'a Estimate,
     /// Index of each regression of the hypothesis among the covariates of the reductions.
     regression_indices: &'a [usize],
-    /// F with Σ = FF' of the per-test effects, then of each level of groups, the innermost first.
+    /// F with Σ = FF' of the per-test effects, then of each level of groups from the innermost on.
     roots: Vec<DMatrix<f64>>,
 }
 
@@ -206,7 +206,7 @@ impl<'a> Draw<'a> {
         sum
     }
 
-    /// Draws ξ of a test; `group_effects` is the sum of the effects of its groups.
+    /// Draws ξ of a test; `group_effects` is the sum of the effects of the test's groups.
     fn xi(&self, template: ReductionRef<'_>, group_effects: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let (p, root) = (self.roots[0].nrows(), &self.roots[0]);
         let mut xi =

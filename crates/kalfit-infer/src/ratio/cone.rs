@@ -1,10 +1,10 @@
-//! The tangent cone of a model at a hypothesis, and the law of the likelihood ratio that follows from it (Chernoff; Self
-//! and Liang).
+//! The tangent cone of a model at a hypothesis, and the law of the likelihood ratio that follows from this cone
+//! (Chernoff; Self and Liang).
 //!
-//! Near a Σ₀ of the hypothesis the model's Σ₀ + D must be positive semidefinite: N'DN ⪰ 0 on the null space N that the
-//! hypothesis gives a block. Where each such N is a line, these conditions are m half-spaces, and -2 log λ is χ² with d
-//! - m degrees of freedom plus the squared length of the projection of a normal vector onto an orthant: a mixture of χ²
-//! whose weights follow from the correlations of the m estimates.
+//! Near a Σ₀ of the hypothesis the model's Σ₀ + D must be positive semidefinite: N'DN ⪰ 0 for the null space N of each
+//! block of Σ that is singular under the hypothesis. Where each N is a line, these conditions are m half-spaces, and
+//! -2 log λ is χ² with d - m degrees of freedom plus the squared length of the projection of a normal vector onto an
+//! orthant: a mixture of χ² whose weights follow from the correlations of the m estimates.
 
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
@@ -19,14 +19,14 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::Order;
 use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, PhaseForm, Problem, generic_root};
 
-/// Eigenvalues of an information or of a block of Σ, scaled to unit diagonal, below this count as zero.
+/// Eigenvalues of an information or of a block of Σ, scaled to unit diagonal, below this threshold count as zero.
 const ZERO_EIGENVALUE: f64 = 1e-10;
 /// Number of draws for the weights of four and more half-spaces.
 const DRAWS: usize = 200_000;
-/// Number of half-spaces up to which weights are computed; beyond, only the bound is given.
+/// Largest number of half-spaces for which weights are computed; for more, the law is a bound.
 const MAX_HALF_SPACES: usize = 20;
 
-/// Results from the tangent cone.
+/// Degrees of freedom and law that follow from the tangent cone.
 pub(super) struct TangentCone {
     pub(super) degrees_of_freedom: usize,
     pub(super) law: ReferenceLaw,
@@ -47,8 +47,8 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
     let boundary_cone = boundary_cone(&null.state.newton_iterate.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
     if degrees_of_freedom == 0 && !equal {
-        // the hypothesis removes quantities that are identified only in a sum with others, and so bounds that sum: that
-        // of two variances is at least the one that remains
+        // the hypothesis removes quantities of which the data identify only a sum with other quantities, and so bounds
+        // the sum: a sum of two variances is at least the variance that remains
         let removed = wide.ncols().saturating_sub(narrow.ncols()).max(1);
         let law = ReferenceLaw { is_bound: true, ..ReferenceLaw::chi_squared(removed) };
         return TangentCone { degrees_of_freedom: removed, law, null_on_boundary };
@@ -94,7 +94,7 @@ fn directions(problem: &Problem, mean: DMatrix<f64>, root: &DMatrix<f64>) -> DMa
     all
 }
 
-/// Number of identified directions.
+/// Number of identified directions: rank of the information, scaled to unit diagonal.
 fn rank(information: &DMatrix<f64>) -> usize {
     let size = symmetric::sizes(information);
     let n = information.nrows();
@@ -105,11 +105,11 @@ fn rank(information: &DMatrix<f64>) -> usize {
     symmetric::eigen(&scaled).0.iter().filter(|v| **v > ZERO_EIGENVALUE).count()
 }
 
-/// How the hypothesis puts Σ on the boundary of what the model allows.
+/// Position of the hypothesis' Σ in the set of Σ that the model allows.
 enum BoundaryCone {
     /// Σ is not on the boundary.
     None,
-    /// D is in half-spaces: w'D ≥ 0 for each of these w (weights of the elements of Σ).
+    /// D is in half-spaces: w'D ≥ 0 for each vector w of weights of the elements of Σ.
     Lines(Vec<DVector<f64>>),
     /// Σ is on the boundary with a null space of more than one dimension within a block, or in a curved structure.
     Unknown,
@@ -152,9 +152,9 @@ fn along_scale(part: &PhaseForm, sigma_star: &DMatrix<f64>, elements: &Elements)
     DVector::from_iterator(elements.count(), elements.all().map(weight))
 }
 
-/// Null space that a hypothesis gives a block at its estimate. Its directions follow the estimate (as with DRD and a
-/// singular R) where they are as many as for a generic member of the hypothesis; otherwise they are those of the
-/// member.
+/// Null space that a hypothesis gives a block at its estimate. The null space of the estimate (which varies, as with
+/// DRD and a singular R) if its dimension is that of a generic member of the hypothesis; otherwise the null space of
+/// the generic member.
 fn null_space_at(null_root: &DMatrix<f64>, generic: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
     let (own, of_any) = (null_space(null_root, block, ZERO_EIGENVALUE), null_space(generic, block, ZERO_EIGENVALUE));
     if own.ncols() == of_any.ncols() { own } else { of_any }
@@ -179,7 +179,7 @@ fn null_is_generic(null: &Estimate, inner: &Problem) -> bool {
     rank(&null.state.newton_iterate.point.root) >= rank(&generic)
 }
 
-/// Covariance of the estimates along lines, once all other free quantities have adapted.
+/// Covariance of the estimates of w'D for each line w, with all other free quantities estimated too.
 fn covariance_of(lines: &[DVector<f64>], wide: &DMatrix<f64>, information: &DMatrix<f64>, m: usize) -> DMatrix<f64> {
     let free = wide.transpose() * information * wide;
     let inverse = symmetric::scaled_inverse(&free);
@@ -188,7 +188,7 @@ fn covariance_of(lines: &[DVector<f64>], wide: &DMatrix<f64>, information: &DMat
     &along * inverse * along.transpose()
 }
 
-/// The law for half-spaces with correlated estimates.
+/// The law of the likelihood ratio for half-spaces; `covariance`: of the estimates of w'D.
 fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw {
     // a half-space without information does not affect the statistic
     let known: Vec<usize> = (0..covariance.nrows()).filter(|&k| covariance[(k, k)] > 0.0).collect();
@@ -248,7 +248,7 @@ fn orthant_weights(r: &DMatrix<f64>) -> Vec<f64> {
     }
 }
 
-/// The weights of `orthant_weights` by drawing, with a fixed seed: every call gives the same weights.
+/// The weights of [`orthant_weights`], estimated from draws with a fixed seed.
 fn drawn_weights(r: &DMatrix<f64>) -> Vec<f64> {
     let m = r.nrows();
     let mut random = ChaCha8Rng::seed_from_u64(0);

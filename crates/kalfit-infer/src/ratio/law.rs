@@ -2,7 +2,8 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// One component of a mixture: χ² with `degrees_of_freedom`; with zero degrees of freedom the constant zero.
+/// One component of a mixture: χ² with `degrees_of_freedom`; with zero degrees of freedom, the component is the
+/// constant zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Component {
     /// Degrees of freedom.
@@ -14,10 +15,10 @@ pub struct Component {
 /// The large-sample law of a likelihood-ratio statistic under the null hypothesis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceLaw {
-    /// Components of the mixture; their weights add up to one.
+    /// Components of the mixture; the weights add up to 1.
     pub components: Vec<Component>,
     /// The mixture as if the variances that the hypothesis puts at zero were estimated independently of each other, as
-    /// textbooks give it; equal to `components` for fewer than two such variances.
+    /// in textbooks; equal to `components` for fewer than two such variances.
     pub independent: Vec<Component>,
     /// Whether the mixture is an upper bound of the law, not the law itself: p-values are then too large, never too
     /// small.
@@ -25,7 +26,7 @@ pub struct ReferenceLaw {
 }
 
 impl ReferenceLaw {
-    /// The law χ² with these degrees of freedom.
+    /// The law χ² with `degrees_of_freedom`.
     pub fn chi_squared(degrees_of_freedom: usize) -> ReferenceLaw {
         let components = vec![Component { degrees_of_freedom, weight: 1.0 }];
         ReferenceLaw { independent: components.clone(), components, is_bound: false }
@@ -47,7 +48,7 @@ impl ReferenceLaw {
     }
 }
 
-/// P(X ≥ x) under χ²; one for x ≤ 0.
+/// P(X ≥ x) under χ²; 1 for x ≤ 0.
 pub(crate) fn chi_squared_tail(degrees_of_freedom: usize, x: f64) -> f64 {
     match ChiSquared::new(degrees_of_freedom as f64) {
         _ if x <= 0.0 => 1.0,

@@ -1,4 +1,4 @@
-//! Likelihood-ratio tests of nested hypotheses (theory §9; Shumway, Olsen and Levy): -2 log λ and the law it follows.
+//! Likelihood-ratio tests of nested hypotheses (theory §9; Shumway, Olsen and Levy): -2 log λ and the law of -2 log λ.
 
 mod bootstrap;
 mod cone;
@@ -21,21 +21,22 @@ pub struct LikelihoodRatio {
     /// -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis).
     pub statistic: f64,
     /// Number of identified free quantities that the hypothesis removes; where the hypothesis bounds a sum of
-    /// quantities that are identified only together, the number of all that it removes.
+    /// quantities that are identified only together, the number of all quantities that the hypothesis removes.
     pub degrees_of_freedom: usize,
     /// Large-sample law of the statistic under the hypothesis.
     pub law: ReferenceLaw,
-    /// Whether Σ of the hypothesis is singular where only the data made it so: the law then promises too much.
+    /// Whether the estimated Σ of the hypothesis has a lower rank than the hypothesis requires: p-values from the law
+    /// are then unreliable.
     pub null_on_boundary: bool,
 }
 
 impl LikelihoodRatio {
-    /// Tail probability of the statistic under its law.
+    /// Tail probability of the statistic under `law`.
     pub fn p_value(&self) -> f64 {
         self.law.tail(self.statistic)
     }
 
-    /// Tail probability under χ² with all the degrees of freedom.
+    /// Tail probability of the statistic under χ² with `degrees_of_freedom`.
     pub fn chi_squared_p_value(&self) -> f64 {
         law::chi_squared_tail(self.degrees_of_freedom, self.statistic)
     }
@@ -71,8 +72,8 @@ pub fn fit_null(
     Some(fit(&bootstrap::select_covariates(reductions, &regression_indices), null, settings, progress))
 }
 
-/// The fit of the model, repeated from the estimate of the hypothesis when that has the higher likelihood: the search
-/// for the model then ended at a local maximum.
+/// The fit of the model, repeated from the estimate of the hypothesis when this estimate has the higher likelihood: the
+/// search for the model then ended at a local maximum.
 pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &Reductions) -> Result<Estimate, FitError> {
     if alternative.log_likelihood >= null.log_likelihood - 1e-9 * null.log_likelihood.abs().max(1.0) {
         return Ok(alternative);

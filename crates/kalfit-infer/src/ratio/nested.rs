@@ -5,13 +5,13 @@ use nalgebra::{DMatrix, DVector};
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{Criterion, Estimate, Problem, Structure};
 
-/// Relative difference that counts as rounding.
+/// Largest relative difference that counts as rounding.
 const RELATIVE_TOLERANCE: f64 = 1e-8;
 
 /// Why a hypothesis cannot be tested within a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotNested {
-    /// The two are about different states or data.
+    /// Hypothesis and model have different states or data.
     #[error("the hypothesis and the model are not about the same states and tests")]
     Different,
     /// Some mean that the hypothesis allows is not allowed by the model.
@@ -20,7 +20,7 @@ pub enum NotNested {
     /// Some covariance that the hypothesis allows is not allowed by the model.
     #[error("the hypothesis allows covariances that the model does not")]
     Covariance,
-    /// The restricted likelihoods are those of different means.
+    /// The restricted likelihoods have different means integrated out.
     #[error("restricted likelihoods of different means cannot be compared")]
     Restricted,
     /// Each phase was fitted separately.
@@ -57,13 +57,14 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
     if free(null) >= free(alternative) { Err(NotNested::Same) } else { Ok(()) }
 }
 
-/// Index of each regression of `inner` among those of `outer`; `None` when one is missing there.
+/// Index of each regression of `inner` among the regressions of `outer`; `None` when `outer` lacks a regression of
+/// `inner`.
 pub(super) fn regressions(inner: &Structure<'_>, outer: &Structure<'_>) -> Option<Vec<usize>> {
     let outer = outer.regressions();
     inner.regressions().iter().map(|r| outer.iter().position(|o| o == r)).collect()
 }
 
-/// Checks that every mean m0 + Bβ of `inner` is one of `outer`.
+/// Checks that `outer` allows every mean m0 + Bβ of `inner`.
 fn mean(inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     let q = &outer.mean.basis;
     let outside = |v: &DVector<f64>| (v - q * (q.transpose() * v)).amax();
@@ -74,7 +75,7 @@ fn mean(inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     if worst > RELATIVE_TOLERANCE { Err(NotNested::Mean) } else { Ok(()) }
 }
 
-/// Checks that the estimated Σ of `inner`, and every Σ of `inner` near it, is one of `outer`.
+/// Checks that `outer` allows the estimated Σ of `inner`, and every Σ of `inner` near the estimate.
 fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     let root = &null.state.newton_iterate.point.root;
     let sigma = root * root.transpose();

@@ -1,4 +1,4 @@
-//! Checks whether a hypothesis on α lies within a model, and counts the free values that it removes.
+//! Checks whether a hypothesis on α lies within a model, and counts the free values that the hypothesis removes.
 
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Model, Parameter, PhasedModel, Slots};
@@ -7,12 +7,12 @@ use kalfit_model::{Evidence, PhasedTest};
 /// Why a hypothesis on α cannot be tested within a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NotNestedParameter {
-    /// The model fixes the parameter at another value, or the hypothesis leaves it free.
+    /// The model fixes the parameter at another value, or the hypothesis leaves the parameter free.
     #[error("the model fixes parameter `{name}` at {expected}, and the hypothesis {}", fixed_words(found))]
     Fixed {
         /// Name of the parameter.
         name: String,
-        /// Value of the parameter under the hypothesis, where it is fixed there.
+        /// Value of the parameter under the hypothesis; `None` where the hypothesis leaves the parameter free.
         found: Option<f64>,
         /// Value of the parameter in the model.
         expected: f64,
@@ -33,7 +33,7 @@ pub enum NotNestedParameter {
         /// The bound, in words.
         expected: String,
     },
-    /// The parameter is free in both, with different bounds.
+    /// The parameter is free in hypothesis and model, with different bounds.
     #[error("the bounds of parameter `{name}` are not the same in the hypothesis as in the model")]
     Bounds {
         /// Name of the parameter.
@@ -50,7 +50,7 @@ fn fixed_words(found: &Option<f64>) -> String {
 pub struct Restricted {
     /// Number of free values that the hypothesis removes.
     pub count: usize,
-    /// Number of free values that the hypothesis fixes at one of their bounds.
+    /// Number of free values of the model that the hypothesis fixes at a bound.
     pub at_bound: usize,
 }
 
@@ -65,7 +65,7 @@ enum Target {
 struct ComparedModel<'a> {
     model: &'a Model,
     slots: &'a Slots,
-    /// α with zeros for the free values, which do not matter.
+    /// α with zero for every free value; only the fixed values are used.
     alpha: Alpha,
 }
 
@@ -76,11 +76,11 @@ impl<'a> ComparedModel<'a> {
     }
 }
 
-/// Counts the free values of α that a hypothesis removes from a model; both slots are those of the free values in
-/// `tests`.
+/// Counts the free values of α that a hypothesis removes from a model; the [`Slots`] of hypothesis and model are the
+/// free values that occur in `tests`.
 ///
 /// # Errors
-/// The hypothesis is not within the model.
+/// Fails when the hypothesis is not within the model.
 pub fn restricted(
     null: (&PhasedModel, &Slots),
     wide: (&PhasedModel, &Slots),
@@ -112,7 +112,7 @@ pub fn restricted(
     Ok(Restricted { count: wide.slots.len().saturating_sub(null.slots.len()), at_bound })
 }
 
-/// Records what the hypothesis makes of the model's value of one parameter on one row.
+/// Records the target, under the hypothesis, of the model's value of parameter `index` on a row with labels `texts`.
 fn record_target(
     index: usize,
     texts: &[Label],
@@ -139,7 +139,7 @@ fn record_target(
     }
 }
 
-/// Whether a value is on a bound of a parameter; an error when it is outside.
+/// Whether a value is on a bound of a parameter; an error when the value is out of bounds.
 fn on_bound(parameter: &Parameter, value: f64) -> Result<bool, NotNestedParameter> {
     let outside = |expected: String| {
         Err(NotNestedParameter::OutOfBounds { name: parameter.name.clone(), found: value, expected })

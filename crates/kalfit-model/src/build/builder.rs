@@ -1,4 +1,4 @@
-//! Builder of a model of one phase, or of one phase of several.
+//! Builder of a model of one phase, or of one phase of a model in several phases.
 
 use nalgebra::DMatrix;
 
@@ -10,7 +10,7 @@ use crate::build::parameter::ParameterBuilder;
 use crate::build::state::{StateBuilder, constant};
 use crate::model::{Model, PhasedModel};
 
-/// Collects the parts of a model. Its clones can serve as the common part of several models or phases.
+/// Collects the parts of a model. Clones of a builder can serve as the common part of several models or phases.
 ///
 /// ```
 /// # use kalfit_model as kalfit;
@@ -51,11 +51,11 @@ impl Model {
         ModelBuilder { title: title.into(), ..ModelBuilder::default() }
     }
 
-    /// A model of nothing but the unknown numbers ξ, by name: for tests that come as matrices or as reductions. Constraints on μ and
-    /// Σ go into the fields `mean` and `covariance` of its only phase.
+    /// A model that consists of the names of ξ alone, for tests that come as matrices or as reductions. Constraints on
+    /// μ and Σ go into the fields `mean` and `covariance` of the only phase.
     ///
     /// # Errors
-    /// No names, or one twice.
+    /// There are no names, or a name occurs twice.
     pub fn unknowns<N: Into<String>>(names: impl IntoIterator<Item = N>) -> Result<PhasedModel, BuildError> {
         names.into_iter().fold(Model::builder(""), |builder, name| builder.state(constant(name))).build()
     }
@@ -76,7 +76,7 @@ impl ModelBuilder {
         self
     }
 
-    /// Sets the time of x_0, a formula in columns that are constant within a test. Without it x_0 is at the first row.
+    /// Sets the time of x_0, a formula in columns that are constant within a test. By default x_0 is at the first row.
     #[must_use]
     pub fn initial_time(mut self, time: impl Into<Formula>) -> Self {
         self.initial_time = Some(time.into());
@@ -126,7 +126,7 @@ impl ModelBuilder {
     }
 
     /// Sets the covariance of the process noises of two states: per step for discrete motion, per time unit for
-    /// continuous.
+    /// continuous motion.
     #[must_use]
     pub fn process_noise_covariance(
         mut self,
@@ -162,7 +162,7 @@ impl ModelBuilder {
         self.mean(state, MeanRule::Start(value))
     }
 
-    /// Ties the mean of a state to other means: it is `constant` plus weight × mean for each term.
+    /// Ties the mean of a state to other means: the mean is `constant` + Σ weight × mean of the state of each term.
     #[must_use]
     pub fn tie_mean<'a>(
         self,
@@ -174,7 +174,7 @@ impl ModelBuilder {
         self.mean(state, MeanRule::Tied { constant, terms })
     }
 
-    /// Makes the means of these states proportional: the given weights times one unknown factor, (34).
+    /// Makes the means of states proportional: each mean is weight × one unknown factor, (34).
     #[must_use]
     pub fn proportional_means<'a>(self, weights: impl IntoIterator<Item = (&'a str, f64)>) -> Self {
         weights.into_iter().fold(self, |builder, (state, weight)| builder.mean(state, MeanRule::Proportional(weight)))
@@ -208,14 +208,14 @@ impl ModelBuilder {
         self
     }
 
-    /// Fixes an element of Σ at a known value: a variance when both names are of the same state.
+    /// Fixes an element of Σ at a known value: a variance if both names are equal.
     #[must_use]
     pub fn fix_covariance(mut self, first: impl Into<String>, second: impl Into<String>, value: f64) -> Self {
         self.constraints.fixed.push((first.into(), second.into(), value));
         self
     }
 
-    /// Makes elements of Σ, each given by its two states, equal to each other.
+    /// Makes elements of Σ equal to each other; an element is a pair of names of states.
     #[must_use]
     pub fn equal_covariances(mut self, elements: &[(&str, &str)]) -> Self {
         let owned = elements.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned()));
@@ -223,7 +223,7 @@ impl ModelBuilder {
         self
     }
 
-    /// Adds a known covariance to the estimated one, (29)-(30), with a row and a column for each estimated state.
+    /// Adds a known covariance to the estimated Σ, (29)-(30), p × p for p estimated states.
     #[must_use]
     pub fn known_covariance(mut self, known: DMatrix<f64>) -> Self {
         self.known = Some(known);

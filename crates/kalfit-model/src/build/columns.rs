@@ -46,7 +46,7 @@ pub enum ColumnsError {
         /// The columns of this kind that the test has.
         found: Vec<String>,
     },
-    /// A column is longer or shorter than the others.
+    /// A column is longer or shorter than the columns before.
     #[error("column `{column}` of test `{test}` has {found} rows, expected {expected} as in the columns before it")]
     Length {
         /// Id of the test.
@@ -55,10 +55,10 @@ pub enum ColumnsError {
         column: String,
         /// Number of rows of the column.
         found: usize,
-        /// Number of rows of the columns before it.
+        /// Number of rows of the columns before.
         expected: usize,
     },
-    /// Two columns have the same name.
+    /// Two columns have one name.
     #[error("test `{test}` has two columns `{column}`")]
     Twice {
         /// Id of the test.
@@ -123,7 +123,7 @@ impl Columns {
         self
     }
 
-    /// Adds a column with the same number in every row.
+    /// Adds a column with the number `cell` in every row.
     #[must_use]
     pub fn every_number(mut self, name: impl Into<String>, cell: f64) -> Self {
         self.numbers.push((name.into(), Cells::Every(cell)));
@@ -137,14 +137,14 @@ impl Columns {
         self
     }
 
-    /// Adds a column with the same text in every row.
+    /// Adds a column with the text `cell` in every row.
     #[must_use]
     pub fn every_text(mut self, name: impl Into<String>, cell: impl Into<String>) -> Self {
         self.texts.push((name.into(), Cells::Every(cell.into())));
         self
     }
 
-    /// Makes the test of `model` that these columns describe; its texts get labels in `labels`.
+    /// Makes the test of `model` from the columns; the texts of the test get labels in `labels`.
     ///
     /// # Errors
     /// Columns that the model reads and the test lacks, columns that do not fit together, infinite numbers, and phases

@@ -34,7 +34,7 @@ pub(super) enum CovarianceForm {
     Blocks(Vec<Vec<String>>),
 }
 
-/// Names of the estimated states, and which of them are random.
+/// Names of the estimated states, and for each of the states, whether x_0 differs from test to test.
 pub(super) struct Elements<'a> {
     pub(super) names: &'a [String],
     pub(super) random: &'a [bool],
@@ -127,7 +127,7 @@ impl Constraints {
     }
 }
 
-/// Blocks as indices of states; each state that no block names is a separate block.
+/// Indices of the estimated states of each block; each state that no block names is a separate block.
 fn all_blocks(blocks: &[Vec<String>], elements: &Elements<'_>) -> Result<Vec<Vec<usize>>, BuildError> {
     let mut listed = vec![false; elements.names.len()];
     let mut all = Vec::new();
@@ -153,7 +153,7 @@ pub(super) fn finite(found: f64, what: &str) -> Result<f64, BuildError> {
     Err(BuildError::OutOfRange { what: what.to_owned(), found, expected: "a finite number".to_owned() })
 }
 
-/// A known matrix as expressions.
+/// The elements of a known matrix as expressions, row by row.
 pub(super) fn as_expressions(matrix: &nalgebra::DMatrix<f64>) -> Vec<Vec<Expression>> {
     matrix.row_iter().map(|row| row.iter().map(|&x| Expression::Number(x)).collect()).collect()
 }

@@ -3,15 +3,15 @@
 /// Reason why no model could be built.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BuildError {
-    /// Two things of one kind, or a state and a parameter, have the same name.
+    /// Two things of one kind, or a state and a parameter, have one name.
     #[error("{what} have the name `{name}`")]
     Twice {
-        /// What the two things are.
+        /// The two things, in words.
         what: &'static str,
         /// The name.
         name: String,
     },
-    /// Nothing of this kind has this name.
+    /// A formula or a constraint names a thing that does not exist.
     #[error("there is no {what} `{name}`, which {place} names; there {}", are(known))]
     Unknown {
         /// Kind of thing that the name should denote.
@@ -20,7 +20,7 @@ pub enum BuildError {
         name: String,
         /// Where the name is used.
         place: String,
-        /// Names of this kind that exist.
+        /// All names of this kind that exist.
         known: Vec<String>,
     },
     /// An equation contains a product, a quotient or a function of states.
@@ -55,10 +55,10 @@ pub enum BuildError {
         /// What the model lacks.
         what: &'static str,
     },
-    /// A number is outside its range.
+    /// A number is outside the allowed range.
     #[error("{what} is {found}, expected {expected}")]
     OutOfRange {
-        /// Which number is outside its range.
+        /// The number, in words.
         what: String,
         /// Value of the number.
         found: f64,

@@ -32,12 +32,12 @@ pub(super) enum Node {
     When(Box<Node>, Box<Node>, Box<Node>),
 }
 
-/// A state, a parameter or, where the model has neither of this name, a column of the data.
+/// The state or parameter of this name or, if the model has neither, the column of this name in the data.
 pub fn name(name: impl Into<String>) -> Formula {
     Formula(Node::Name(name.into()))
 }
 
-/// The time since the test's previous row.
+/// The time since the previous step of the test.
 pub fn dt() -> Formula {
     Formula(Node::Step)
 }
@@ -109,13 +109,13 @@ impl Formula {
         self.binary(Operator::Power, exponent)
     }
 
-    /// The smaller of two.
+    /// The smaller of this formula and `other`.
     #[must_use]
     pub fn min(self, other: impl Into<Formula>) -> Formula {
         Formula(Node::Call(Function::Min, vec![self.0, other.into().0]))
     }
 
-    /// The larger of two.
+    /// The larger of this formula and `other`.
     #[must_use]
     pub fn max(self, other: impl Into<Formula>) -> Formula {
         Formula(Node::Call(Function::Max, vec![self.0, other.into().0]))
@@ -139,13 +139,13 @@ impl Formula {
         self.binary(Operator::Equal, other)
     }
 
-    /// Whether both formulas are true.
+    /// Whether this formula and `other` are true.
     #[must_use]
     pub fn and(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::And, other)
     }
 
-    /// Whether at least one of the formulas is true.
+    /// Whether this formula or `other` is true.
     #[must_use]
     pub fn or(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::Or, other)

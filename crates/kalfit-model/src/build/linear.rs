@@ -10,20 +10,20 @@ use crate::model::{Expression, Linear, Operator};
 pub(super) const ZERO: Expression = Expression::Number(0.0);
 pub(super) const ONE: Expression = Expression::Number(1.0);
 
-/// Linear form Σ coefficient × state + constant, while it is being built.
+/// Unfinished linear form Σ coefficient × state + constant; `terms` maps the index of a state to the coefficient.
 struct Form {
     terms: BTreeMap<usize, Expression>,
     constant: Expression,
 }
 
-/// The linear form of an equation.
+/// The linear form of an equation in states.
 pub(super) fn linear(names: &mut Names, formula: &Formula, place: &str) -> Result<Linear, BuildError> {
     let form = FormulaReader { names, place }.form(&formula.0)?;
     let terms = form.terms.into_iter().filter(|(_, coefficient)| *coefficient != ZERO).collect();
     Ok(Linear { terms, constant: form.constant })
 }
 
-/// An expression without states.
+/// The expression of a formula without states.
 pub(super) fn scalar(names: &mut Names, formula: &Formula, place: &str) -> Result<Expression, BuildError> {
     let form = FormulaReader { names: &mut *names, place }.form(&formula.0)?;
     match form.terms.keys().next() {
@@ -32,7 +32,7 @@ pub(super) fn scalar(names: &mut Names, formula: &Formula, place: &str) -> Resul
     }
 }
 
-/// An expression whose value must not be negative or, as a time constant, not even zero.
+/// The expression of a formula whose value must not be negative or, for a time constant, must be positive.
 pub(super) fn nonnegative(
     names: &mut Names,
     formula: &Formula,
@@ -47,13 +47,13 @@ pub(super) fn nonnegative(
     Ok(value)
 }
 
-/// The square of a standard deviation.
+/// The square of the expression of a formula for a standard deviation.
 pub(super) fn squared(names: &mut Names, formula: &Formula, place: &str) -> Result<Expression, BuildError> {
     nonnegative(names, formula, Role::Spread, place).map(|deviation| multiply(deviation.clone(), deviation))
 }
 
 impl Role {
-    /// Checks that a number in this role may have this value.
+    /// Checks that a number in this role may have the value `found`.
     pub(super) fn check(self, found: f64, what: &str) -> Result<(), BuildError> {
         let expected = match self {
             Role::TimeConstant if found <= 0.0 => "more than 0",

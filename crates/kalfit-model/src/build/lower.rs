@@ -1,4 +1,4 @@
-//! From a builder to a model: names are looked up, equations taken apart.
+//! From a builder to a model: names become indices, equations become linear forms.
 
 mod parameter;
 
@@ -10,7 +10,7 @@ use crate::build::linear::scalar;
 use crate::build::names::{Names, Role, unknown};
 use crate::model::{Clock, Expression, Initial, Model, Parameter, PhasedModel, roles_among};
 
-/// Covariances between the noises of two states or two measurements, by their indices.
+/// (index, index, covariance) of the noises of two states or of two measurements.
 type Covariances = Vec<(usize, usize, Expression)>;
 
 impl ModelBuilder {
@@ -18,8 +18,8 @@ impl ModelBuilder {
     /// which are all public: see [`CovarianceKind`](crate::model::CovarianceKind) for the structures of Σ.
     ///
     /// # Errors
-    /// Unknown names, equations that are not linear in the states, numbers outside their range, and constraints that
-    /// contradict each other.
+    /// Unknown names, equations that are not linear in the states, numbers outside the allowed range, and constraints
+    /// that contradict each other.
     pub fn build(&self) -> Result<PhasedModel, BuildError> {
         let mut names = Names::default();
         let mut model = PhasedModel::from(phase(self, &mut names, None)?);
@@ -28,7 +28,7 @@ impl ModelBuilder {
     }
 }
 
-/// Gives the models of all phases what they share, once all of it is known.
+/// Gives the models of all phases the common columns, texts and parameters, after all phases are built.
 pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), BuildError> {
     let roles = roles_among(model, names.parameters.len());
     roles.into_iter().enumerate().for_each(|(parameter, role)| names.strengthen_role(parameter, role.into()));
@@ -44,7 +44,7 @@ pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), Bu
     Ok(())
 }
 
-/// Builds the model of one phase; [`share`] adds what it has in common with other phases.
+/// Builds the model of one phase, without the columns, texts and parameters, which [`share`] adds.
 pub(super) fn phase(builder: &ModelBuilder, names: &mut Names, phase_name: Option<&str>) -> Result<Model, BuildError> {
     builder.parameters.iter().try_for_each(|parameter| names.parameter(parameter, phase_name))?;
     builder.parameters.iter().try_for_each(|parameter| parameter.declare(names))?;

@@ -16,7 +16,7 @@ pub struct MeasurementBuilder {
     noise: Noise,
 }
 
-/// Noise of a measurement. A number, a name or a formula means its standard deviation.
+/// Noise of a measurement. A number, a name or a formula converts to noise with this standard deviation.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Noise {
     /// Standard deviation of the noise.

@@ -4,7 +4,7 @@ use crate::build::BuildError;
 use crate::build::parameter::ParameterBuilder;
 use crate::model::{Column, Expression};
 
-/// Role of a parameter, which limits its sign; its strictest use counts.
+/// Role of a parameter, which limits the sign; a parameter has the strictest role of all uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Role {
     Unused,
@@ -22,12 +22,12 @@ impl From<crate::model::Role> for Role {
         match role {
             ModelRole::Scale { .. } => Role::Spread,
             ModelRole::TimeConstant => Role::TimeConstant,
-            ModelRole::Other => Role::Unused, // adds nothing to the roles noted for its uses
+            ModelRole::Other => Role::Unused, // the weakest role, which changes no role
         }
     }
 }
 
-/// Names that all phases share, and those of the phase that is being built.
+/// Names that all phases share, and names of the phase that is being built.
 #[derive(Debug, Default)]
 pub(super) struct Names {
     pub(super) columns: Vec<Column>,
@@ -41,7 +41,7 @@ pub(super) struct Names {
 }
 
 impl Names {
-    /// Adds a parameter, unless an earlier phase added the same one.
+    /// Adds a parameter, unless an earlier phase added an equal parameter.
     pub(super) fn parameter(&mut self, parameter: &ParameterBuilder, phase: Option<&str>) -> Result<(), BuildError> {
         match self.parameters.iter().find(|(known, _)| known.name == parameter.name) {
             None => self.parameters.push((parameter.clone(), Role::Unused)),
@@ -63,7 +63,7 @@ impl Names {
         self.states.iter().position(|known| known == name)
     }
 
-    /// Index of the state `name`, which must exist; `place` says where it is named.
+    /// Index of the state `name`, which must exist; `place` is the place of the name, for the error.
     pub(super) fn required_state(&self, name: &str, place: &str) -> Result<usize, BuildError> {
         self.state(name).ok_or_else(|| unknown("state", name, place, &self.states))
     }
@@ -94,15 +94,15 @@ impl Names {
         }
     }
 
-    /// Gives a parameter this role if it is the whole expression; parameters inside an expression get their roles when
-    /// the model is complete.
+    /// Gives the role `role` to a parameter that is the whole expression; a parameter inside a larger expression gets a
+    /// role when the model is complete.
     pub(super) fn mark_role(&mut self, value: &Expression, role: Role) {
         if let Expression::Parameter(index) = value {
             self.strengthen_role(*index, role);
         }
     }
 
-    /// Gives a parameter this role, if it is stricter than the role so far.
+    /// Gives a parameter the role `role`, if this role is stricter than the present role.
     pub(super) fn strengthen_role(&mut self, parameter: usize, role: Role) {
         let known = &mut self.parameters[parameter].1;
         *known = (*known).max(role);

@@ -19,7 +19,7 @@ pub fn fixed(name: impl Into<String>, value: f64) -> ParameterBuilder {
     ParameterBuilder::new(name.into(), Value::Fixed(value))
 }
 
-/// A parameter to be estimated, starting from a value that is worked out from the data.
+/// A parameter to be estimated, with a start value that is computed from the data.
 pub fn free(name: impl Into<String>) -> ParameterBuilder {
     ParameterBuilder::new(name.into(), Value::Free { start: None })
 }
@@ -36,7 +36,7 @@ impl ParameterBuilder {
         self
     }
 
-    /// Makes the parameter estimated, starting from this value.
+    /// Makes the parameter estimated, with this start value.
     #[must_use]
     pub fn start(mut self, start: f64) -> Self {
         self.value = Value::Free { start: Some(start) };

@@ -43,7 +43,7 @@ pub struct PhaseBuilder {
     filter: Option<SchmidtBuilder>,
 }
 
-/// Builder of a filter that need not be optimal; its estimates replace the measurements of its phase.
+/// Builder of a filter that need not be optimal; the estimates of the filter replace the measurements of a phase.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SchmidtBuilder {
     covariance: DMatrix<f64>,
@@ -59,32 +59,32 @@ impl PhasedModel {
     }
 }
 
-/// A phase with these states, measurements and constraints.
+/// A phase with the states, measurements and constraints of `model`.
 pub fn phase(name: impl Into<String>, model: &ModelBuilder) -> PhaseBuilder {
     PhaseBuilder { name: name.into(), model: model.clone(), carry: Vec::new(), filter: None }
 }
 
-/// A Kalman-Schmidt filter with this prior covariance of all states, in the order of the model.
+/// A Kalman-Schmidt filter with the prior covariance of all n states, n × n, in the order of the model.
 pub fn schmidt(covariance: DMatrix<f64>) -> SchmidtBuilder {
     SchmidtBuilder { covariance, consider: Vec::new(), mean: Vec::new(), parameters: Vec::new() }
 }
 
 impl SchmidtBuilder {
-    /// Lets the filter account for the uncertainty of these states without estimating them.
+    /// Adds states whose uncertainty the filter accounts for without an estimate of the states.
     #[must_use]
     pub fn consider<'a>(mut self, states: impl IntoIterator<Item = &'a str>) -> Self {
         self.consider.extend(states.into_iter().map(str::to_owned));
         self
     }
 
-    /// Sets the filter's prior mean of a state, which is otherwise zero.
+    /// Sets the prior mean of a state in the filter; the default is zero.
     #[must_use]
     pub fn mean(mut self, state: impl Into<String>, value: f64) -> Self {
         self.mean.push((state.into(), value));
         self
     }
 
-    /// Sets the value that the filter assumes for a parameter, where it differs from that of the model.
+    /// Sets the value that the filter assumes for a parameter; the default is the value in the model.
     #[must_use]
     pub fn believes(mut self, parameter: impl Into<String>, value: f64) -> Self {
         self.parameters.push((parameter.into(), value));
@@ -118,7 +118,7 @@ impl SchmidtBuilder {
 }
 
 impl PhaseBuilder {
-    /// Adds to the start of a state this formula, linear in the final states of the phase before.
+    /// Adds a formula, linear in the final states of the phase before, to the start of a state.
     #[must_use]
     pub fn carry(mut self, state: impl Into<String>, from: impl Into<Formula>) -> Self {
         self.carry.push((state.into(), from.into()));
@@ -184,8 +184,8 @@ impl PhasedModelBuilder {
     /// Builds the model.
     ///
     /// # Errors
-    /// As [`ModelBuilder::build`], for each phase; also phases with the same name, and phases that differ in title, in
-    /// group or in a parameter of the same name.
+    /// The errors of [`ModelBuilder::build`] for each phase, two phases with one name, and phases that differ in title,
+    /// in group or in a parameter of one name.
     pub fn build(&self) -> Result<PhasedModel, BuildError> {
         let Some(first) = self.phases.first() else { return Err(BuildError::Nothing { what: "phases" }) };
         let mut names = Names::default();

@@ -35,7 +35,7 @@ enum Start {
     Known(Formula, Formula),
 }
 
-/// A state that keeps the value it starts with.
+/// A state whose value never changes.
 pub fn constant(name: impl Into<String>) -> StateBuilder {
     StateBuilder::new(name.into(), Process::Constant, Start::Estimated)
 }
@@ -50,8 +50,8 @@ pub fn random_walk_by_step(name: impl Into<String>, step_noise: impl Into<Formul
     StateBuilder::new(name.into(), Process::RandomWalkByStep(step_noise.into()), Start::Estimated)
 }
 
-/// A Gauss-Markov process of first order, of this time constant and steady-state standard deviation. By default it
-/// starts in its stationary law.
+/// A Gauss-Markov process of first order with the given time constant and steady-state standard deviation. By default
+/// the process starts in the stationary law.
 pub fn gauss_markov(
     name: impl Into<String>,
     time_constant: impl Into<Formula>,
@@ -61,7 +61,7 @@ pub fn gauss_markov(
     StateBuilder::new(name.into(), process, Start::Stationary)
 }
 
-/// A Gauss-Markov process of second order, critically damped; its hidden rate is never estimated.
+/// A Gauss-Markov process of second order, critically damped; the hidden rate of the process is never estimated.
 pub fn gauss_markov_2(
     name: impl Into<String>,
     time_constant: impl Into<Formula>,
@@ -76,8 +76,8 @@ pub fn integral(name: impl Into<String>, of: impl Into<Formula>) -> StateBuilder
     moving(name, of, 0.0)
 }
 
-/// A state that moves in continuous time, given by its derivative, linear in the states, and the density of its white
-/// noise, a standard deviation per square root of the time unit.
+/// A state that moves in continuous time: `derivative` is linear in the states, and `noise_density` is the standard
+/// deviation of the white noise per square root of the time unit.
 pub fn moving(
     name: impl Into<String>,
     derivative: impl Into<Formula>,
@@ -87,7 +87,7 @@ pub fn moving(
     StateBuilder::new(name.into(), process, Start::Estimated)
 }
 
-/// A state that moves from row to row, given by its next value, linear in the states at the row before, and the
+/// A state that moves from row to row: `next` is linear in the states at the row before, and `step_noise` is the
 /// standard deviation of the noise of one step.
 pub fn stepping(name: impl Into<String>, next: impl Into<Formula>, step_noise: impl Into<Formula>) -> StateBuilder {
     let process = Process::Stepping { next: next.into(), step_noise: step_noise.into() };
@@ -106,14 +106,14 @@ impl StateBuilder {
         self
     }
 
-    /// Makes the start of the state estimated: part of μ and Σ.
+    /// Makes the start of the state estimated: an element of ξ ~ N(μ, Σ).
     #[must_use]
     pub fn estimated(mut self) -> Self {
         self.initial = Start::Estimated;
         self
     }
 
-    /// Starts the state in the stationary distribution of its motion.
+    /// Starts the state in the stationary distribution of the motion.
     #[must_use]
     pub fn stationary(mut self) -> Self {
         self.initial = Start::Stationary;
@@ -127,7 +127,7 @@ impl StateBuilder {
         self
     }
 
-    /// Gives the start of the state one unknown value common to all tests: in μ, with zero variance.
+    /// Gives the start of the state one unknown value common to all tests: an element of μ with zero variance in Σ.
     #[must_use]
     pub fn common(mut self) -> Self {
         self.random = false;
@@ -141,13 +141,14 @@ impl StateBuilder {
         self
     }
 
-    /// Names that the state adds to the model: its own name, and that of its hidden rate, if any.
+    /// Names that the state adds to the model: the name of the state and, if there is a hidden rate, the name of the
+    /// rate.
     pub(super) fn names(&self) -> impl Iterator<Item = String> {
         let hidden = matches!(self.process, Process::GaussMarkov2 { .. }).then(|| rate_name(&self.name));
         std::iter::once(self.name.clone()).chain(hidden)
     }
 
-    /// Appends the state and, after it, its hidden rate, if any.
+    /// Appends the state and, if there is one, the hidden rate of the state.
     pub(super) fn lower(&self, names: &mut Names, states: &mut Vec<State>) -> Result<(), BuildError> {
         let place = format!("state `{}`", self.name);
         let index = states.len();
@@ -260,7 +261,7 @@ fn require_times(names: &Names, motion: &Motion, state: &str) -> Result<(), Buil
     }
 }
 
-/// Name of a hidden rate. No formula would use such a name, so it hides no other.
+/// Name of a hidden rate. No formula would use such a name, so that the name hides no column or parameter.
 fn rate_name(owner: &str) -> String {
     format!("{owner} (rate)")
 }

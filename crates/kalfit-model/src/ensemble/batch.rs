@@ -5,8 +5,8 @@ use std::sync::Arc;
 use crate::ensemble::records::RowStore;
 use crate::ensemble::{Label, Source, Test, TestId};
 
-/// Tests being read from a table, one after the other. Their ids and cells are stored in a few pieces of memory,
-/// however many tests there are.
+/// Tests that are read from a table, one after the other. The ids and cells of all tests are stored in a few pieces of
+/// memory.
 ///
 /// ```
 /// # use kalfit_model as kalfit;
@@ -23,12 +23,12 @@ use crate::ensemble::{Label, Source, Test, TestId};
 pub struct TestBatch {
     ids: String,
     records: RowStore,
-    /// Start of the id in `ids`, and first row in `records`, of each test.
+    /// (start of the id in `ids`, first row in `records`) of each test.
     starts: Vec<(usize, usize)>,
 }
 
 impl TestBatch {
-    /// An empty batch for tests whose rows have this many numeric and text cells.
+    /// An empty batch for tests whose rows have `columns` numeric cells and `text_columns` text cells.
     pub fn new(columns: usize, text_columns: usize) -> TestBatch {
         TestBatch { records: RowStore::new(columns, text_columns), ..TestBatch::default() }
     }
@@ -39,10 +39,11 @@ impl TestBatch {
         self.ids.push_str(id);
     }
 
-    /// Appends rows to the test that was begun last, the k-th of them from row `source.row + k` of its file.
+    /// Appends `rows` rows to the test that was begun last; row k = 0, 1, … of the new rows has source (`source.file`,
+    /// `source.row` + k). Cells are row by row.
     ///
     /// # Panics
-    /// When the number of cells is not that of `rows` rows, or no test was begun.
+    /// If the number of cells does not fit `rows` rows, or if no test was begun.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
         assert!(!self.starts.is_empty(), "rows of no test");
         self.records.push(rows, numbers, texts, source);
@@ -68,7 +69,7 @@ impl TestBatch {
         self.starts.last().map(|&(id, _)| &self.ids[id..])
     }
 
-    /// Text cells of the first row of the test that was begun last, if it has one.
+    /// Text cells of the first row of the test that was begun last; `None` if this test has no rows.
     pub fn last_texts(&self) -> Option<&[Label]> {
         let &(_, first) = self.starts.last()?;
         (first < self.rows()).then(|| self.records.texts(first..first + 1))

@@ -13,19 +13,19 @@ impl Texts {
         self.ends.len()
     }
 
-    /// The text with this number. Panics when there is none.
+    /// The text with index `number`. Panics if there are fewer texts.
     pub fn get(&self, number: usize) -> &str {
         let start = number.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.all[start..self.ends[number]]
     }
 
-    /// Adds a text.
+    /// Appends a text.
     pub fn push(&mut self, text: &str) {
         self.all.push_str(text);
         self.ends.push(self.all.len());
     }
 
-    /// Adds all texts of `others`.
+    /// Appends all texts of `others`.
     pub fn append(&mut self, others: &Texts) {
         let shift = self.all.len();
         self.all.push_str(&others.all);
@@ -40,7 +40,7 @@ impl Texts {
     }
 }
 
-/// Values that few tests or none have; the list ends with the last test that has a value.
+/// Values of a column that is empty for most tests; the list ends with the last test that has a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SparseColumn<T>(Vec<Option<T>>);
 
@@ -56,12 +56,12 @@ impl<T> SparseColumn<T> {
         SparseColumn(Vec::with_capacity(tests))
     }
 
-    /// Value of the test with this number.
+    /// Value of the test with index `number`; `None` without a value.
     pub fn get(&self, number: usize) -> Option<&T> {
         self.0.get(number)?.as_ref()
     }
 
-    /// Mutable value of the test with this number.
+    /// Value of the test with index `number`, for writing; `None` without a value.
     pub fn get_mut(&mut self, number: usize) -> Option<&mut T> {
         self.0.get_mut(number)?.as_mut()
     }
@@ -71,7 +71,7 @@ impl<T> SparseColumn<T> {
         self.0.iter().rev().any(Option::is_some)
     }
 
-    /// Sets or removes the value of the test with this number.
+    /// Sets the value of the test with index `number`; `None` removes the value.
     pub fn set(&mut self, number: usize, one: Option<T>) {
         if number >= self.0.len() {
             if one.is_none() {
@@ -82,7 +82,7 @@ impl<T> SparseColumn<T> {
         self.0[number] = one;
     }
 
-    /// Appends the values of `others` after those of the first `own` tests.
+    /// Appends the values of `others`, whose test k becomes test `own` + k.
     pub fn append(&mut self, own: usize, others: SparseColumn<T>) {
         if !others.0.is_empty() {
             self.0.resize_with(own, || None);

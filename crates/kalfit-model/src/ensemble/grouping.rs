@@ -7,27 +7,28 @@ use crate::ensemble::Label;
 /// The groups that each test belongs to, level by level.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grouping {
-    /// Number of each test, by its id.
+    /// Index of each test, by the id of the test.
     numbers: HashMap<String, usize>,
-    /// For each level, the innermost first, the group of each test.
+    /// For each level, the innermost first, the index in `groups` of the group of each test.
     of_test: Vec<Vec<usize>>,
-    /// The groups of each level, the innermost first, in the order in which tests name them.
+    /// The groups of each level, the innermost level first; the groups of a level are in the order of first mention by
+    /// tests.
     groups: Vec<Vec<Group>>,
 }
 
 /// A group of tests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// Names of the groups that contain this group, the outermost first, followed by its name.
+    /// Names of the groups that contain this group, the outermost first, then the name of this group.
     pub path: Vec<Label>,
-    /// The group of the next level that contains this group; `None` for the outermost level.
+    /// Index of the group of the next outer level that contains this group; `None` for the outermost level.
     pub parent: Option<usize>,
     /// Number of tests in the group.
     pub tests: usize,
 }
 
 impl Grouping {
-    /// Groups tests, given by their ids with the names of their groups, the outermost first.
+    /// Groups tests, each given by (id, names of the `depth` groups of the test, the outermost first).
     pub fn from_paths<'a>(depth: usize, tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>) -> Grouping {
         let mut grouping =
             Grouping { numbers: HashMap::new(), of_test: vec![Vec::new(); depth], groups: vec![Vec::new(); depth] };
@@ -66,12 +67,12 @@ impl Grouping {
         &self.groups[level]
     }
 
-    /// Number of the test with this id, in the order in which tests were grouped.
+    /// Index of the test with id `test`, in the order in which tests were grouped.
     pub fn number(&self, test: &str) -> Option<usize> {
         self.numbers.get(test).copied()
     }
 
-    /// The group of a test at a level, the innermost being level 0.
+    /// Index of the group of a test at a level, the innermost being level 0.
     pub fn group_of(&self, test: usize, level: usize) -> usize {
         self.of_test[level][test]
     }

@@ -1,4 +1,4 @@
-//! Ids of tests, many of which share one piece of memory.
+//! Ids of tests; many ids share one piece of memory.
 
 use std::borrow::Borrow;
 use std::fmt::{self, Debug, Display, Formatter};
@@ -6,7 +6,8 @@ use std::hash::{Hash, Hasher};
 use std::ops::{Deref, Range};
 use std::sync::Arc;
 
-/// The id of a test: a part of one text that holds the ids of all tests read together. A copy costs no memory.
+/// The id of a test: a part of one text with the ids of all tests that were read together. A copy of an id copies no
+/// text.
 ///
 /// ```
 /// # use kalfit_model as kalfit;
@@ -23,7 +24,7 @@ pub struct TestId {
 }
 
 impl TestId {
-    /// The id in this range of a text that holds many ids.
+    /// The id at bytes `place` of a text with many ids.
     pub(super) fn part(all: &Arc<Box<str>>, place: Range<usize>) -> TestId {
         match (u32::try_from(place.start), u32::try_from(place.end)) {
             (Ok(start), Ok(end)) => TestId { all: all.clone(), start, end },
@@ -61,7 +62,7 @@ impl Borrow<str> for TestId {
 
 impl From<&str> for TestId {
     /// # Panics
-    /// When the text has 4 GB or more.
+    /// If the text has 4 GB or more.
     fn from(text: &str) -> TestId {
         let end = u32::try_from(text.len()).expect("the id of a test has fewer than 2^32 bytes");
         TestId { all: Arc::new(text.into()), start: 0, end }

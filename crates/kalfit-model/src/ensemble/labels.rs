@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-/// A text of the data, given by its number in [`Labels`]. Different texts have different labels; their order means
-/// nothing.
+/// A text of the data, given by the index of the text in [`Labels`]. Different texts have different labels; the order
+/// of labels has no meaning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Label(u32);
 
@@ -11,23 +11,23 @@ impl Label {
     /// The label of an empty cell.
     pub const MISSING: Label = Label(u32::MAX);
 
-    /// The label of the literal with this index in the model that the [`Labels`] were made for.
+    /// The label of literal `index` of the model whose literals [`Labels::new`] received.
     pub fn literal(index: usize) -> Label {
         Label(u32::try_from(index).expect("a model names fewer than 2^32 texts"))
     }
 
-    /// True for an empty cell.
+    /// Whether this is the label of an empty cell.
     pub fn is_missing(self) -> bool {
         self == Label::MISSING
     }
 
-    /// Number of the text.
+    /// Index of the text in [`Labels::texts`].
     pub fn index(self) -> usize {
         self.0 as usize
     }
 }
 
-/// The texts of a data set. The model's literals come first, so that a literal's index is its label.
+/// The texts of a data set. The literals of the model come first, so that literal k of the model is text k.
 #[derive(Debug, Clone, Default)]
 pub struct Labels {
     texts: Vec<String>,
@@ -35,7 +35,7 @@ pub struct Labels {
 }
 
 impl Labels {
-    /// Starts with a model's literals, which must differ from each other.
+    /// Texts that consist of the literals of a model, which must differ from each other.
     pub fn new(literals: &[String]) -> Labels {
         let mut labels = Labels::default();
         for text in literals {
@@ -44,7 +44,7 @@ impl Labels {
         labels
     }
 
-    /// The label of a text, which is added if it is new.
+    /// The label of a text; a new text is added.
     pub fn intern(&mut self, text: &str) -> Label {
         if let Some(&label) = self.by_text.get(text) {
             return label;
@@ -55,7 +55,7 @@ impl Labels {
         label
     }
 
-    /// All texts, in the order of their labels.
+    /// All texts, by ascending label.
     pub fn texts(&self) -> &[String] {
         &self.texts
     }

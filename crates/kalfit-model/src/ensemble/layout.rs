@@ -1,14 +1,14 @@
-//! How rows of a table become tests.
+//! Layout of a table: which rows make up a test.
 
-/// What a reader must know of a table in addition to the columns of the model.
+/// Layout of a table: what a reader needs in addition to the columns of the model.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
     /// What distinguishes tests.
     pub test: TestKey,
-    /// Columns with the groups of tests, the outermost first. With a [`TestKey::Column`], tests are distinguished by
-    /// these columns and the key's together, and an id joins the texts of all of these with `/`.
+    /// Columns with the groups of tests, the outermost first. With a [`TestKey::Column`], rows are of one test if the
+    /// texts in these columns and in the key column are equal, and the id of the test joins all these texts with `/`.
     pub levels: Vec<String>,
-    /// Texts that mark a missing cell, in addition to the usual ones.
+    /// Texts that mark a missing cell, in addition to the usual texts.
     pub missing: Vec<String>,
     /// Text that begins each comment line of a CSV file; `None` where there are no comments.
     pub comment: Option<String>,
@@ -20,7 +20,7 @@ pub enum TestKey {
     /// All rows are one test.
     #[default]
     Single,
-    /// A column with the test's id.
+    /// Rows with equal text in the column of this name are one test, and the text is the id.
     Column(String),
     /// Each file is a test (`@file`).
     File,

@@ -1,4 +1,4 @@
-//! Observations: tests, and the texts in them.
+//! Observations: tests with numeric and text cells, and groups of tests.
 
 mod batch;
 mod columns;

@@ -1,10 +1,10 @@
-//! Rows of cells, one after the other, of one test or of many.
+//! Rows of cells, one after the other, of one test or of many tests.
 
 use std::ops::Range;
 
 use crate::ensemble::{Label, Source};
 
-/// Rows of cells, and where they came from.
+/// Rows of cells, with the source of each row.
 #[derive(Debug, Clone, Default)]
 pub(super) struct RowStore {
     columns: usize,
@@ -12,12 +12,13 @@ pub(super) struct RowStore {
     numbers: Vec<f64>,
     texts: Vec<Label>,
     rows: usize,
-    /// (first row, its source) of each run of rows that follow each other in a file, be they of one test or of many.
+    /// (first row, source of the first row) of each run of rows that follow each other in a file; a run may extend over
+    /// several tests.
     sources: Vec<(usize, Source)>,
 }
 
 impl RowStore {
-    /// An empty store for rows with this many numeric and text cells.
+    /// An empty store for rows with `columns` numeric cells and `text_columns` text cells.
     pub(super) fn new(columns: usize, text_columns: usize) -> RowStore {
         RowStore { columns, text_columns, ..RowStore::default() }
     }
@@ -45,8 +46,8 @@ impl RowStore {
         self.numbers[row * self.columns + column] = value;
     }
 
-    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not
-    /// that of `rows` rows.
+    /// Appends `rows` rows; row k = 0, 1, … of the new rows has source (`source.file`, `source.row` + k). Panics if the
+    /// number of cells does not fit `rows` rows.
     pub(super) fn push(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
         let expected = (rows * self.columns, rows * self.text_columns);
         assert_eq!((numbers.len(), texts.len()), expected, "cells of {rows} rows");
@@ -61,7 +62,7 @@ impl RowStore {
         self.rows += rows;
     }
 
-    /// Appends rows of another store.
+    /// Appends the rows `rows` of another store, with equal numbers of cells in a row.
     pub(super) fn push_from(&mut self, others: &RowStore, rows: Range<usize>) {
         let mut start = rows.start;
         while start < rows.end {
@@ -71,34 +72,34 @@ impl RowStore {
         }
     }
 
-    /// Gives back memory that the rows do not need, except for a small part.
+    /// Frees unused memory of each list, if more than an eighth of the used memory is unused.
     pub(super) fn fit(&mut self) {
         fit(&mut self.numbers);
         fit(&mut self.texts);
         fit(&mut self.sources);
     }
 
-    /// Where a row came from.
+    /// File and line of a row.
     pub(super) fn source(&self, row: usize) -> Source {
         let run = self.sources.partition_point(|(first, _)| *first <= row) - 1;
         let (first, source) = self.sources[run];
         Source { row: source.row + (row - first) as u64, ..source }
     }
 
-    /// End of the run of rows that follow this row in its file.
+    /// End of the run of rows that contains this row and follows the order of the file.
     fn follow(&self, row: usize) -> usize {
         let next = self.sources.partition_point(|(first, _)| *first <= row);
         self.sources.get(next).map_or(self.rows, |(first, _)| *first)
     }
 
-    /// Source of the next row, if it follows the last row in its file.
+    /// Source of a row that would follow the last row in the file; `None` if there are no rows.
     fn next_source(&self) -> Option<Source> {
         let (first, source) = self.sources.last()?;
         Some(Source { row: source.row.checked_add((self.rows - first) as u64)?, ..*source })
     }
 }
 
-/// Gives back the unused memory of a list, if it is more than an eighth of the used.
+/// Frees the unused memory of a list, if more than an eighth of the used memory is unused.
 fn fit<T>(list: &mut Vec<T>) {
     if list.capacity() - list.len() > list.len() / 8 {
         list.shrink_to_fit();

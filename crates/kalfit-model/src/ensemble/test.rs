@@ -1,4 +1,4 @@
-//! One test: its rows, in time order.
+//! One test: rows in time order.
 
 use std::fmt;
 use std::ops::Range;
@@ -7,20 +7,21 @@ use std::sync::Arc;
 use crate::ensemble::records::RowStore;
 use crate::ensemble::{Label, TestId};
 
-/// Where a row came from. The core uses it for messages only.
+/// File and line of a row, for messages only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Source {
-    /// Number of the file.
+    /// Index of the file.
     pub file: u32,
-    /// Number of the row in the file, as a person counts (a CSV file's header is line 1).
+    /// Number of the row in the file, as a person counts (the header of a CSV file is line 1).
     pub row: u64,
 }
 
-/// The rows of one test with the columns a model reads. Missing numbers are NaN, missing texts [`Label::MISSING`].
+/// The rows of one test with the columns that a model reads. A missing number is NaN, a missing text is
+/// [`Label::MISSING`].
 ///
-/// Tests that were read together share the memory of their cells ([`TestBatch`](crate::TestBatch)): a copy of a test,
-/// or of some of its rows, copies no cell. A test that is changed first gets a separate copy of its cells, unless it is
-/// the only one that uses them.
+/// Tests that were read together share one memory of cells ([`TestBatch`](crate::TestBatch)): a copy of a test, or of
+/// some rows of a test, copies no cell. A change to a test first makes a separate copy of the cells of the test, unless
+/// no other test uses the memory.
 #[derive(Clone)]
 pub struct Test {
     /// Id of the test.
@@ -32,29 +33,30 @@ pub struct Test {
 }
 
 impl Test {
-    /// An empty test whose rows have this many numeric and text cells.
+    /// An empty test whose rows have `columns` numeric cells and `text_columns` text cells.
     pub fn new(id: impl Into<TestId>, columns: usize, text_columns: usize) -> Test {
         Test { id: id.into(), records: Arc::new(RowStore::new(columns, text_columns)), first: 0, rows: 0 }
     }
 
-    /// The test with these rows of `records`.
+    /// The test with rows `rows` of `records`.
     pub(super) fn part(id: TestId, records: &Arc<RowStore>, rows: Range<usize>) -> Test {
         Test { id, records: records.clone(), first: rows.start, rows: rows.len() }
     }
 
-    /// Appends a row. Panics when the number of cells is not that of the test.
+    /// Appends a row. Panics if the number of cells does not fit the columns of the test.
     pub fn push(&mut self, numbers: &[f64], texts: &[Label], source: Source) {
         self.push_rows(1, numbers, texts, source);
     }
 
-    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not
-    /// that of `rows` rows of the test.
+    /// Appends `rows` rows; row k = 0, 1, … of the new rows has source (`source.file`, `source.row` + k). Cells are row
+    /// by row. Panics if the number of cells does not fit `rows` rows of the test.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
         self.unshared_records().push(rows, numbers, texts, source);
         self.rows += rows;
     }
 
-    /// Appends rows of another test. Panics when the other test has no such rows, or rows of other widths.
+    /// Appends the rows `rows` of another test. Panics if the other test lacks some of the rows, or has other numbers
+    /// of cells in a row.
     pub(crate) fn push_from(&mut self, other: &Test, rows: Range<usize>) {
         assert!(rows.end <= other.rows, "rows {rows:?} of {}", other.rows);
         if self.rows == 0 {
@@ -66,12 +68,13 @@ impl Test {
         self.rows += rows.len();
     }
 
-    /// The first rows, at most as many as there are.
+    /// The test with the first `rows` rows only; with all rows if there are fewer.
     pub fn first(&self, rows: usize) -> Test {
         Test { rows: rows.min(self.rows), ..self.clone() }
     }
 
-    /// The records of this test alone, copied first if they are shared or contain other rows.
+    /// The records of this test for writing, copied first if another test shares the records or if the records contain
+    /// rows of another test.
     fn unshared_records(&mut self) -> &mut RowStore {
         let (first, rows) = (self.first, self.rows);
         let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
@@ -84,7 +87,7 @@ impl Test {
         Arc::get_mut(&mut self.records).expect("nobody else has them")
     }
 
-    /// Numbers of numeric and of text cells of a row.
+    /// (number of numeric cells, number of text cells) of a row.
     pub fn widths(&self) -> (usize, usize) {
         self.records.widths()
     }
@@ -106,7 +109,7 @@ impl Test {
         self.records.numbers(self.first..self.first + self.rows)
     }
 
-    /// Sets a numeric cell. Panics when there is no such cell.
+    /// Sets a numeric cell. Panics if there is no such cell.
     pub fn set_number(&mut self, row: usize, column: usize, value: f64) {
         assert!(row < self.rows, "row {row} of {}", self.rows);
         self.unshared_records().set_number(row, column, value);
@@ -124,14 +127,14 @@ impl Test {
         self.records.texts(self.first..self.first + self.rows)
     }
 
-    /// Where a row came from.
+    /// File and line of a row.
     pub fn source(&self, row: usize) -> Source {
         assert!(row < self.rows, "row {row} of {}", self.rows);
         self.records.source(self.first + row)
     }
 }
 
-/// Shows the cells of this test, not others in the memory that it shares.
+/// Shows only the cells of this test, not all cells of the shared memory.
 impl fmt::Debug for Test {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sources: Vec<Source> = (0..self.rows).map(|row| self.source(row)).collect();

@@ -1,4 +1,4 @@
-//! The reduction of a test in phases: one factor for each phase, and the links between them (theory §7).
+//! The reduction of a test in phases: one factor for each phase, and the links between phases (theory §7).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -20,7 +20,7 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// Sets everything that depends on data to zero; the matrices stay.
+    /// Sets everything that depends on data to zero; factors, sensitivities and roots do not change.
     pub fn blank(&mut self) {
         for phase in &mut self.phases {
             phase.constant = 0.0;
@@ -35,13 +35,14 @@ impl Chain {
 /// One phase of a [`Chain`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainPhase {
-    /// p_i: the number of its coordinates that are ξ_i.
+    /// p_i: the number of entering coordinates that are ξ_i.
     pub own: usize,
     /// constant_i: the part of the log-likelihood that does not depend on σ_i.
     pub constant: f64,
     /// d_i, q_i numbers.
     pub data: Vec<f64>,
-    /// R_i, q_i × q_i, upper triangular, packed as [`Reduction::factor`](crate::evidence::reduction::Reduction).
+    /// R_i, q_i × q_i, upper triangular, packed in the order of
+    /// [`Reduction::factor`](crate::evidence::reduction::Reduction).
     pub factor: Vec<f64>,
     /// The arithmetic that made the factor.
     pub path: Path,

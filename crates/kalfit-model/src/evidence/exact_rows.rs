@@ -16,7 +16,7 @@ pub struct ExactRows {
 }
 
 impl ExactRows {
-    /// The rows of C with their elements of g; p is not zero.
+    /// (row k of C, g_k) for each k; p must not be zero.
     pub fn rows(&self, p: usize) -> impl Iterator<Item = (&[f64], f64)> {
         self.coefficients.chunks_exact(p).zip(self.values.iter().copied())
     }
@@ -26,7 +26,7 @@ impl ExactRows {
         DMatrix::from_row_slice(self.values.len(), p, &self.coefficients)
     }
 
-    /// The solutions ξ of Cξ = g, parametrised by the remaining free elements of ξ.
+    /// The solutions ξ of Cξ = g, as a function of the p - q elements of ξ that C leaves free.
     pub fn free_states(&self, p: usize) -> FreeStates {
         let width = p + 1;
         let mut rows: Vec<Vec<f64>> = self.rows(p).map(|(row, value)| [row, &[value]].concat()).collect();
@@ -54,7 +54,7 @@ impl ExactRows {
     }
 }
 
-/// All ξ with Cξ = g: ξ = origin + basis η, where η are the free elements of ξ.
+/// All ξ with Cξ = g: ξ = origin + basis η, with η the free elements of ξ.
 #[derive(Debug, Clone)]
 pub struct FreeStates {
     /// ξ at η = 0, p numbers.
@@ -64,10 +64,10 @@ pub struct FreeStates {
 }
 
 impl FreeStates {
-    /// Eigenvalue of the information on η, scaled to unit diagonal, below which a direction counts as unobserved.
+    /// Least eigenvalue of the information on η, scaled to unit diagonal, at which a direction counts as observed.
     const MIN_INFORMATION: f64 = 1e-11;
 
-    /// (Rank of R × basis, least ‖d - Rξ‖² over all ξ with Cξ = g).
+    /// (rank of R × basis, least ‖d - Rξ‖² over all ξ with Cξ = g), with `factor` R and `data` d.
     pub fn least_squares(&self, factor: &DMatrix<f64>, data: &[f64]) -> (usize, f64) {
         let (left, data) = (factor * &self.basis, DVector::from_column_slice(data) - factor * &self.origin);
         let size = |k: usize| Some(left.column(k).norm()).filter(|size| *size > 0.0).unwrap_or(1.0);

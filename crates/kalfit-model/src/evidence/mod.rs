@@ -1,5 +1,4 @@
-//! The evidence of a test, phase by phase: rows still to be filtered, estimates made by some filter, or a reduction
-//! made earlier.
+//! The evidence of a test, phase by phase: rows of data, estimates of a filter, or a finished reduction.
 
 mod chain;
 mod exact_rows;
@@ -23,7 +22,7 @@ use crate::ensemble::{Label, Labels, Test, TestId};
 use crate::model::{PhasedModel, Slots};
 pub use kalfit_algebra::symmetric::eigen;
 
-/// One test through its phases. Later phases of the model may be missing; the first ones may not.
+/// One test with all phases. The test may lack the last phases of the model, but not the first phases.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasedTest {
     /// Id of the test.
@@ -37,7 +36,7 @@ pub struct PhasedTest {
 pub enum Evidence {
     /// The rows of the phase.
     Rows(Test),
-    /// Estimates that a filter made from the rows, here or elsewhere (theory §8).
+    /// Estimates that a filter made from the rows of the phase (theory §8).
     Estimates(Box<Estimates>),
     /// The reduction of the phase at the α of the fit.
     Reduced(Box<PhaseReduction>),
@@ -50,8 +49,8 @@ pub enum Evidence {
 /// [x_K; ŝ] = [φ_K; S] x_0 + [s̄_1; s̄] + D × white noise
 /// ```
 ///
-/// x_0 is the whole state of the phase's model, n numbers in file order. ŝ holds any linear functions of the data, in the
-/// usual case the filter's estimates [x̂_K; x̂_{0|K}]; the more of them, the more information.
+/// x_0 is the whole state of the phase's model, n numbers in file order. ŝ holds any linear functions of the data,
+/// usually the estimates [x̂_K; x̂_{0|K}] of the filter; more functions contain more information.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimates {
     /// ŝ, m numbers.
@@ -62,11 +61,12 @@ pub struct Estimates {
     pub sensitivities: DMatrix<f64>,
     /// φ_K from x_0 to the last step, n × n.
     pub transition: DMatrix<f64>,
-    /// s̄_1, the known inputs' part of x_K: n numbers.
+    /// s̄_1, the part of x_K that comes from known inputs: n numbers.
     pub drift: DVector<f64>,
     /// D, (n + m) × any number of columns: DD' = Γ, the covariance of (x_K, ŝ) at a known x_0.
     pub root: DMatrix<f64>,
-    /// One row with the columns of the model that are constant within the test; missing where unknown.
+    /// One row with the columns of the model that are constant within the test; the cells of other columns, and unknown
+    /// cells, are missing.
     pub constants: Test,
     /// Number of steps behind the estimates.
     pub steps: usize,
@@ -74,16 +74,17 @@ pub struct Estimates {
     pub observations: usize,
 }
 
-/// The reduction of one phase by itself, in its entering coordinates σ ([`Phase::entering`](crate::model::Phase::entering)).
+/// The reduction of one phase given the entering coordinates σ of the phase
+/// ([`Phase::entering`](crate::model::Phase::entering)).
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseReduction {
-    /// log p(z | σ), without a chain.
+    /// The reduction of log p(z | σ), without a chain.
     pub reduction: Reduction,
     /// The state after the last step given σ; `None` where no phase of the model follows.
     pub terminal: Option<Terminal>,
     /// T and t of the phase; `None` for the first phase.
     pub inherited: Option<Inherited>,
-    /// Names of the groups of its test, outermost first; empty if they did not come with the reduction.
+    /// Names of the groups of the test, the outermost first; empty if the reduction came without names of groups.
     pub groups: Vec<Label>,
 }
 
@@ -98,11 +99,12 @@ pub struct Inherited {
 
 impl Estimates {
     /// A root D of Γ = DD' from the eigenvalues of Γ scaled to unit diagonal. Eigenvalues up to `rounding` times the
-    /// largest one are set to zero: as variances, they would make certainty out of rounding noise.
+    /// largest eigenvalue are set to zero: tiny variances that come from rounding alone would count as almost exact
+    /// knowledge.
     ///
     /// # Errors
-    /// The least and the largest eigenvalue, if the least one is more negative than rounding explains; a negative
-    /// variance and the largest one, if a variance is negative.
+    /// (least eigenvalue, largest eigenvalue), if the least eigenvalue is more negative than rounding explains;
+    /// (negative variance, largest variance), if a variance is negative.
     pub fn root_of(covariance: &DMatrix<f64>, rounding: f64) -> Result<DMatrix<f64>, [f64; 2]> {
         let variances = covariance.diagonal();
         if let Some(&negative) = variances.iter().find(|x| **x < 0.0) {
@@ -111,7 +113,7 @@ impl Estimates {
         let scale = variances.map(f64::sqrt);
         let unit = |i: usize, j: usize| {
             let (element, of) = (covariance[(i, j)], scale[i] * scale[j]);
-            // An element of variance zero has no covariances; if one is given, an eigenvalue will be negative.
+            // An element of variance zero has no covariances; a nonzero covariance here makes an eigenvalue negative.
             if of > 0.0 {
                 element / scale[i] / scale[j]
             } else {
@@ -136,7 +138,7 @@ impl From<Test> for PhasedTest {
 }
 
 impl PhasedTest {
-    /// The rows of all phases that are given by rows.
+    /// The rows of each phase whose evidence is rows.
     pub fn rows(self) -> impl Iterator<Item = Test> {
         self.phases.into_iter().filter_map(|evidence| match evidence {
             Evidence::Rows(rows) => Some(rows),
@@ -153,8 +155,8 @@ impl PhasedTest {
         self.phases.iter().map(rows).sum()
     }
 
-    /// The rows of all phases as one test, in their order in the data; rows whose sources do not differ stay phase
-    /// after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
+    /// The rows of all phases as one test, in the order of the rows in the data; rows with one source are phase after
+    /// phase. This undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
     pub fn joined(self) -> Test {
         let id = self.id.clone();
         let mut phases: Vec<Test> = self.rows().collect();
@@ -174,8 +176,7 @@ impl PhasedTest {
 }
 
 impl Evidence {
-    /// The rows with the model's columns, if there are any: the rows of data, or the single row of constants of
-    /// estimates.
+    /// The rows of data, or the single row of constants of estimates; `None` for a reduction.
     pub fn cells(&self) -> Option<&Test> {
         match self {
             Evidence::Rows(test) => Some(test),

@@ -5,15 +5,15 @@ use std::{iter, option, vec};
 
 use crate::evidence::Evidence;
 
-/// The evidence of the phases of a test, from the first phase on. It derefs to a slice; a test with a single phase
-/// needs no heap memory for it.
+/// The evidence of the phases of a test, from the first phase on. `Phases` derefs to a slice, and needs no heap memory
+/// for a single phase.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Phases(PhaseStorage);
 
 #[derive(Debug, Clone, PartialEq)]
 enum PhaseStorage {
     One([Evidence; 1]),
-    /// None, or two and more.
+    /// No phases, or two and more phases.
     Several(Vec<Evidence>),
 }
 

@@ -12,16 +12,17 @@ use crate::evidence::path::Path;
 pub struct Reduction {
     /// Id of the test.
     pub test: String,
-    /// c' = c + ½ d'd: the log-likelihood at the best ξ of this test.
+    /// c' = c + ½ d'd: the log-likelihood at the best ξ of the test, where Rξ = d.
     pub constant: f64,
-    /// The residual sum of squares at that ξ, each term divided by the variance of its innovation: -½ of it is the part
-    /// of `constant` that depends on the data. `None` where only the constant is known.
+    /// ρ = Σ e'S⁻¹e over the innovations e at the best ξ: `constant` depends on the data through -½ρ only. `None` where
+    /// only the constant is known.
     pub residual: Option<f64>,
     /// d, p numbers.
     pub data: Vec<f64>,
-    /// R, upper triangular p × p, stored by columns without the zeros: R_ik at i + k(k+1)/2, i ≤ k. Its diagonal is not negative.
+    /// R, upper triangular p × p, stored by columns without the zeros: R_ik at i + k(k+1)/2, i ≤ k. The diagonal of R
+    /// is not negative.
     pub factor: Vec<f64>,
-    /// Values of the regression columns, one per [`Regression`](crate::model::Regression).
+    /// Value of the column of each [`Regression`](crate::model::Regression) of the model.
     pub covariates: Vec<f64>,
     /// Number of steps of the test.
     pub steps: usize,
@@ -31,27 +32,27 @@ pub struct Reduction {
     pub path: Path,
     /// Digest of all that S, K, T, J depend on: tests with one digest are one design class.
     pub design: u128,
-    /// The reduction phase by phase, for a model with several phases. `data` and `factor` are then those of all phases
-    /// together, over (ξ_1, …, ξ_I), with the states between the phases integrated out; they are zero for phases that
-    /// the test lacks.
+    /// The reduction phase by phase, for a model with several phases. `data` and `factor` then belong to (ξ_1, …, ξ_I)
+    /// of all phases, with the states between the phases integrated out; elements of phases that the test lacks are
+    /// zero.
     pub chain: Option<Box<Chain>>,
-    /// Rows Cξ = g that are measured without any noise: p(z | ξ) is then the density of all other measurements, for ξ
-    /// with Cξ = g.
+    /// Rows Cξ = g that are measured without any noise: p(z | ξ) is then the density of all measurements but these
+    /// rows, for ξ with Cξ = g.
     pub exact: Option<Box<ExactRows>>,
 }
 
-/// One test of [`Reductions`]: a [`Reduction`] that stands elsewhere.
+/// One test of `Reductions`: references to all fields of a [`Reduction`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReductionRef<'a> {
     /// Id of the test.
     pub test: &'a str,
     /// c' = c + ½ d'd.
     pub constant: f64,
-    /// The sum of squares that is left at the best ξ, if it is known.
+    /// Sum of squares at the best ξ, as in [`Reduction::residual`].
     pub residual: Option<f64>,
     /// d, p numbers.
     pub data: &'a [f64],
-    /// R, packed as [`Reduction::factor`].
+    /// R, packed in the order of [`Reduction::factor`].
     pub factor: &'a [f64],
     /// Values of the regression columns.
     pub covariates: &'a [f64],
@@ -59,18 +60,18 @@ pub struct ReductionRef<'a> {
     pub steps: usize,
     /// Number of scalar measurements used.
     pub observations: usize,
-    /// Which arithmetic made it.
+    /// The arithmetic that made this reduction.
     pub path: Path,
     /// Digest of all that S, K, T, J depend on.
     pub design: u128,
-    /// The same phase by phase, for a test of a model with several phases.
+    /// The reduction phase by phase, for a model with several phases.
     pub chain: Option<&'a Chain>,
-    /// What was measured exactly.
+    /// Rows Cξ = g that are measured without any noise.
     pub exact: Option<&'a ExactRows>,
 }
 
 impl Reduction {
-    /// The same as a row.
+    /// References to all fields of the reduction.
     pub fn view(&self) -> ReductionRef<'_> {
         ReductionRef {
             test: &self.test,
@@ -108,7 +109,7 @@ impl From<ReductionRef<'_>> for Reduction {
     }
 }
 
-/// The packed R of a reduction as a matrix.
+/// The packed R of a reduction as a matrix, p × p, upper triangular.
 pub fn unpack(factor: &[f64], p: usize) -> DMatrix<f64> {
     DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
 }

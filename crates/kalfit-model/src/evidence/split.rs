@@ -35,7 +35,7 @@ pub enum SplitError {
         /// Names of the phases.
         phases: Vec<String>,
     },
-    /// A test has a phase but lacks one before it.
+    /// A test has rows of a phase but no rows of an earlier phase.
     #[error("test `{test}`, row {}: phase `{later}` follows phase `{missing}`, of which the test has no row", at.row)]
     MissingPhase {
         /// Id of the test.
@@ -44,7 +44,7 @@ pub enum SplitError {
         at: Source,
         /// Name of the phase that is missing.
         missing: String,
-        /// Name of the phase after it.
+        /// Name of the phase after the missing phase.
         later: String,
     },
 }
@@ -81,11 +81,12 @@ impl SplitError {
 }
 
 impl PhasedModel {
-    /// The rows of a test by phase, in the order of the model; each phase keeps the order of its rows, which need not
-    /// be contiguous. Later phases may be missing. Without a phase column the whole test is the only phase.
+    /// The rows of a test by phase, in the order of the model; rows of one phase stay in the order of the test and need
+    /// not be contiguous there. The test may lack the last phases. Without a phase column the whole test is the only
+    /// phase.
     ///
     /// # Errors
-    /// A row without phase or of an unknown one; a phase without the one before it.
+    /// A row without a phase, a row of an unknown phase, or a phase without rows before a phase with rows.
     pub fn split(&self, test: Test, labels: &Labels) -> Result<PhasedTest, SplitError> {
         if self.column.is_none() {
             return Ok(test.into());
@@ -110,7 +111,7 @@ impl PhasedModel {
     /// evidence of such a phase may exist. Without a phase column the whole test is the first phase.
     ///
     /// # Errors
-    /// A row without phase or of an unknown one.
+    /// A row without a phase, or a row of an unknown phase.
     pub fn rows_by_phase(&self, test: Test, labels: &Labels) -> Result<Vec<Test>, SplitError> {
         let empty = || self.phases.iter().skip(1).map(|_| test.first(0)).collect::<Vec<Test>>();
         let Some(column) = self.column else {
@@ -131,7 +132,7 @@ impl PhasedModel {
         Ok(phases)
     }
 
-    /// (number of the phase, rows) of each run of successive rows of one phase.
+    /// (index of the phase, rows) of each run of successive rows of one phase.
     fn runs_of_phases(
         &self,
         test: &Test,
@@ -148,7 +149,7 @@ impl PhasedModel {
         Ok(runs)
     }
 
-    /// The number of the phase to which a row belongs.
+    /// The index of the phase of a row.
     fn phase_of(&self, test: &Test, row: usize, column: usize, labels: &Labels) -> Result<usize, SplitError> {
         let cell = test.texts(row)[column];
         let of = |label: usize| Label::literal(label) == cell;

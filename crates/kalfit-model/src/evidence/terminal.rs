@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// x_K | z, ξ ~ N(x̂_K + Ψ_K ξ, P_K): the state after the last step.
+/// The law of the state after the last step: x_K | z, ξ ~ N(x̂_K + Ψ_K ξ, P_K).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Terminal {
     /// x̂_K, n numbers.

@@ -1,16 +1,17 @@
-//! Derivatives of expressions with respect to parameters, in reverse mode: one evaluation, then one walk back over what
-//! it computed.
+//! Derivatives of expressions with respect to parameters, in reverse mode: one evaluation, then one walk back over the
+//! computed values.
 
 use crate::model::{EvaluationError, Expression, Function, Operator, Scope};
 
-/// Values that an evaluation computed, each expression after its subexpressions. The memory is reused.
+/// Values that an evaluation computed, each expression after all subexpressions. Successive evaluations reuse the
+/// memory.
 #[derive(Debug, Clone, Default)]
 pub struct Tape(Vec<TapeNode>);
 
 #[derive(Debug, Clone, Copy)]
 struct TapeNode {
     value: f64,
-    /// First node of this expression's subexpressions; this node is the last.
+    /// Index of the first node of the subexpressions; the nodes from `start` up to this node belong to the expression.
     start: usize,
 }
 
@@ -24,7 +25,7 @@ impl Tape {
         self.0[at].value
     }
 
-    /// Node of the expression that precedes the expression whose node is `at`.
+    /// Index of the node of the expression before the expression of node `at`.
     fn before(&self, at: usize) -> usize {
         self.0[at].start - 1
     }
@@ -32,8 +33,9 @@ impl Tape {
 
 impl Expression {
     /// Calls `sink(parameter, seed × ∂value/∂parameter)` for each mention of a parameter. Comparisons have slope 0,
-    /// `if` follows the branch it takes, `min` and `max` the argument they take, and the slope of `abs` at 0 is 0.
-    /// Where a slope is infinite (`sqrt` at 0) the value passed to the sink is not finite, unless the seed is 0.
+    /// `if` has the slope of the chosen branch, `min` and `max` have the slope of the chosen argument, and the slope of
+    /// `abs` at 0 is 0. Where a slope is infinite (`sqrt` at 0) the value passed to the sink is not finite, unless the
+    /// seed is 0.
     pub fn differentiate(
         &self,
         seed: f64,
@@ -47,7 +49,8 @@ impl Expression {
         Ok(())
     }
 
-    /// Evaluates and records on the tape. An expression with slope 0, such as a comparison, is one node.
+    /// Evaluates the expression and appends all values to the tape. An expression with slope 0, such as a comparison,
+    /// is one node.
     fn evaluate_on_tape(&self, scope: &Scope<'_>, tape: &mut Tape) -> Result<f64, EvaluationError> {
         let start = tape.0.len();
         let value = match self {
@@ -76,7 +79,7 @@ impl Expression {
         tape.push(start, value)
     }
 
-    /// Walks back over the tape; `at` is the node of this expression.
+    /// Walks back over the tape; `at` is the index of the node of this expression.
     fn propagate_back(&self, seed: f64, at: usize, tape: &Tape, sink: &mut dyn FnMut(usize, f64)) {
         if seed == 0.0 {
             return; // the product is 0 even with an infinite slope
@@ -138,8 +141,8 @@ impl Operator {
             Operator::Divide => (1.0 / b, -value / b),
             Operator::Power => {
                 let to_base = if b == 0.0 { 0.0 } else { b * a.powf(b - 1.0) };
-                // 0^b is 0 for every b > 0. A negative base has no logarithm: its exponent is constant, or there is no
-                // slope.
+                // 0^b is 0 for every b > 0. A negative base has no logarithm: then the exponent is constant, or there
+                // is no slope.
                 (to_base, if value == 0.0 { 0.0 } else { value * a.ln() })
             }
             _ => (0.0, 0.0),

@@ -12,15 +12,15 @@ pub enum Expression {
     Number(f64),
     /// Cell of the numeric column with this index.
     Column(usize),
-    /// `dt`: time since the test's previous step; at the first step, time since x_0.
+    /// `dt`: time since the previous step of the test; at the first step, time since x_0.
     Step,
-    /// Value of the parameter with this index, at the level the row belongs to.
+    /// Value of the parameter with this index, at the level of the row.
     Parameter(usize),
     /// 1 where the cell of a text column is the literal with this index, else 0.
     TextEquals {
         /// Index of the text column.
         column: usize,
-        /// Index into [`Model::literals`](crate::model::Model::literals).
+        /// Index of the literal in [`Model::literals`](crate::model::Model::literals).
         literal: usize,
     },
     /// -a.
@@ -31,7 +31,7 @@ pub enum Expression {
     Binary(Operator, Box<Expression>, Box<Expression>),
     /// f(a) or f(a, b, …).
     Call(Function, Vec<Expression>),
-    /// b where a is true, else c; the other branch is not evaluated.
+    /// b where a is true, else c; only the chosen branch is evaluated.
     If(Box<Expression>, Box<Expression>, Box<Expression>),
 }
 
@@ -111,7 +111,7 @@ impl Expression {
         if value.is_finite() { Ok(value) } else { Err(EvaluationError::NotFinite) }
     }
 
-    /// The number, when the expression is a constant.
+    /// The number, if the expression is [`Expression::Number`].
     pub fn as_number(&self) -> Option<f64> {
         match self {
             Expression::Number(x) => Some(*x),
@@ -119,7 +119,7 @@ impl Expression {
         }
     }
 
-    /// True when `test` holds for this expression or any part of it.
+    /// Whether `test` is true for this expression or for any part of this expression.
     pub fn any(&self, test: &mut dyn FnMut(&Expression) -> bool) -> bool {
         test(self)
             || match self {
@@ -148,7 +148,7 @@ impl Expression {
         all
     }
 
-    /// The expression with those parameters replaced for which `other` gives an expression.
+    /// The expression with `other(k)` in place of each parameter k for which `other(k)` is not `None`.
     pub fn replaced(&self, other: &dyn Fn(usize) -> Option<Expression>) -> Expression {
         let of = |part: &Expression| Box::new(part.replaced(other));
         match self {
@@ -220,7 +220,7 @@ impl Function {
         }
     }
 
-    /// The one of two values that `min` or `max` takes.
+    /// min(a, b) or max(a, b).
     pub(super) fn choose(self, a: f64, b: f64) -> f64 {
         if self == Function::Min { a.min(b) } else { a.max(b) }
     }

@@ -1,7 +1,7 @@
-//! What is assumed of every test: states and their motion, measurements, parameters, and the structure of μ and Σ.
+//! Models: states and the motion of states, measurements, parameters, and the structure of μ and Σ.
 //!
 //! A [`Model`] holds its equations as exact linear forms whose coefficients are [`Expression`]s in the columns of the
-//! data and the parameters. It refers to columns, states and parameters by index; names are kept for reports only.
+//! data and the parameters. A model refers to columns, states and parameters by index; names serve reports only.
 
 mod derivative;
 mod error;
@@ -30,9 +30,9 @@ pub use structure::{
     CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
 };
 
-/// A whole model of one phase. Invariants (kept by whoever builds one): every index is in range; `estimated` lists each
-/// state whose `initial` is [`Initial::Estimated`] exactly once; the structures have `estimated.len()` elements;
-/// continuous motion and [`Expression::Step`] appear only when `clock.time` is given.
+/// A whole model of one phase. Invariants, which the maker of a model must keep: every index is in range; `estimated`
+/// lists each state whose `initial` is [`Initial::Estimated`] exactly once; the structures have `estimated.len()`
+/// elements; continuous motion and [`Expression::Step`] appear only when `clock.time` is given.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     /// Free text that heads reports.
@@ -41,23 +41,26 @@ pub struct Model {
     pub columns: Vec<Column>,
     /// Text columns read from the data, indexed by [`Expression::TextEquals`] and [`Parameter::per`].
     pub text_columns: Vec<Column>,
-    /// Texts the model names: literals of comparisons and named levels. [`Labels`](crate::ensemble::Labels) start with them.
+    /// Texts that the model names: literals of comparisons and named levels. [`Labels`](crate::ensemble::Labels) start
+    /// with these texts.
     pub literals: Vec<String>,
     /// Dynamic parameters α, in file order.
     pub parameters: Vec<Parameter>,
-    /// All states, in file order (hidden ones, such as the rate of a second-order Gauss-Markov state, follow their owner).
+    /// All states, in file order. A hidden state, such as the rate of a second-order Gauss-Markov process, follows the
+    /// main state of the process.
     pub states: Vec<State>,
-    /// Covariances between the process noises of two states: per step for discrete motion, per time unit for continuous.
+    /// (state, state, covariance) of two process noises: per step for discrete motion, per time unit for continuous
+    /// motion.
     pub process_noise_covariance: Vec<(usize, usize, Expression)>,
     /// Measurements, in file order.
     pub measurements: Vec<Measurement>,
-    /// Covariances between the noises of two measurements of one step.
+    /// (measurement, measurement, covariance) of the noises of two measurements of one step.
     pub noise_covariance: Vec<(usize, usize, Expression)>,
     /// Where steps and their times come from.
     pub clock: Clock,
     /// Text column that reports are grouped by.
     pub group: Option<usize>,
-    /// The p estimated states (indices into `states`) in the order of μ and Σ.
+    /// Indices in `states` of the p estimated states, in the order of μ and Σ.
     pub estimated: Vec<usize>,
     /// Constraints on μ.
     pub mean: MeanStructure,
@@ -70,18 +73,19 @@ pub struct Model {
 pub struct Column {
     /// Name of the column in the data.
     pub name: String,
-    /// Where the model uses it first, in words: "equation of measurement `gyro`".
+    /// First use of the column in the model, in words: "equation of measurement `gyro`".
     pub used_in: String,
 }
 
 /// Where steps and their times come from.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Clock {
-    /// Numeric column with the time of a row; rows of a test with equal times are one step. Without it each row is a step.
+    /// Index of the numeric column with the time of a row; rows of a test with equal times are one step. If `None`,
+    /// each row is a step.
     pub time: Option<usize>,
     /// Unit of time, for messages.
     pub unit: Option<String>,
-    /// Time of x_0, an expression in columns constant within a test. Without it x_0 is at the first row.
+    /// Time of x_0, an expression in columns constant within a test. If `None`, x_0 is at the first row.
     pub initial_time: Option<Expression>,
     /// Whether one transition precedes the first row too.
     pub step_first: bool,
@@ -92,7 +96,7 @@ pub struct Clock {
 /// A linear form in the states: Σ coefficient × state + constant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linear {
-    /// (state, coefficient), each state at most once, in ascending order of state.
+    /// (index of the state, coefficient), each state at most once, in ascending order of state.
     pub terms: Vec<(usize, Expression)>,
     /// The term without a state: a known input or offset.
     pub constant: Expression,
@@ -114,11 +118,11 @@ pub struct State {
     pub unit: Option<String>,
     /// How the state moves from row to row.
     pub motion: Motion,
-    /// How the state starts: its x_0.
+    /// How the state starts: the law of x_0.
     pub initial: Initial,
     /// Known amount added to x_0, constant within a test.
     pub offset: Option<Expression>,
-    /// Whether x_0 differs from test to test; if not, it is one unknown value common to all tests (zero variance).
+    /// Whether x_0 differs from test to test; if not, x_0 is one unknown value common to all tests (zero variance).
     pub random: bool,
 }
 
@@ -144,7 +148,7 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// Linear form of the motion and variance of its noise; `None` for a constant state.
+    /// (linear form of the motion, variance of the noise of the motion); `None` for a constant state.
     pub fn parts(&self) -> Option<(&Linear, &Expression)> {
         match self {
             Motion::Constant => None,
@@ -164,7 +168,7 @@ impl Motion {
 pub enum Initial {
     /// Part of ξ ~ N(μ, Σ).
     Estimated,
-    /// In the stationary distribution of its motion (Lyapunov equation), jointly with the other stationary states.
+    /// In the stationary distribution of the motion (Lyapunov equation), jointly with the other stationary states.
     Stationary,
     /// Known mean and variance.
     Known {
@@ -180,9 +184,9 @@ pub enum Initial {
 pub struct Measurement {
     /// Name of the measurement.
     pub name: String,
-    /// Numeric column with the measured value; a missing cell means not measured.
+    /// Index of the numeric column with the measured value z; an empty cell means that z was not measured.
     pub column: usize,
-    /// Condition for the rows that the measurement is read from; `None` for all rows.
+    /// Condition that is true on the rows with the measurement; `None` for all rows.
     pub filter: Option<Expression>,
     /// h'x + d.
     pub equation: Linear,
@@ -191,12 +195,12 @@ pub struct Measurement {
 }
 
 impl Model {
-    /// p: the number of estimated states.
+    /// p, the number of estimated states.
     pub fn dimension(&self) -> usize {
         self.estimated.len()
     }
 
-    /// Whether two parameters occur in the motion of the same state, or in the same covariance of noises.
+    /// Whether two parameters both occur in the motion of one state, or in one covariance of two noises.
     pub fn occur_together(&self, a: usize, b: usize) -> bool {
         let moved = |(form, noise): (&Linear, &Expression)| {
             let any = |p: usize| noise.mentions(p) || form.terms.iter().any(|(_, coefficient)| coefficient.mentions(p));

@@ -12,11 +12,12 @@ pub struct Parameter {
     pub name: String,
     /// Unit label.
     pub unit: Option<String>,
-    /// Known value, or a free value and where its estimation starts.
+    /// Known value, or a free value with the start of the estimation.
     pub value: Value,
-    /// Text column whose levels have separate values.
+    /// Index of the text column whose levels have separate values.
     pub per: Option<usize>,
-    /// Levels whose value is fixed, whatever `value` says; keys are indices into [`Model::literals`](crate::model::Model::literals).
+    /// Fixed values of single levels, which override `value`; keys are indices in
+    /// [`Model::literals`](crate::model::Model::literals).
     pub fixed_levels: BTreeMap<usize, f64>,
     /// Closed lower bound.
     pub lower: Option<f64>,
@@ -32,9 +33,9 @@ pub struct Parameter {
 pub enum Value {
     /// The known value.
     Fixed(f64),
-    /// A value to be estimated, from this start value if one is given.
+    /// A value to be estimated.
     Free {
-        /// Start value.
+        /// Start value of the estimation; `None` where the start is derived from the data.
         start: Option<f64>,
     },
 }
@@ -44,28 +45,28 @@ pub enum Value {
 pub enum Level {
     /// One value for all rows.
     Common(f64),
-    /// A value for each level of a text column; `other` is for levels without one.
+    /// A value for each level of a text column.
     Each {
-        /// The text column.
+        /// Index of the text column.
         column: usize,
-        /// Values by label.
+        /// Value at each level.
         values: BTreeMap<Label, f64>,
-        /// Value of every other level.
+        /// Value at every level that `values` lacks.
         other: Option<f64>,
     },
 }
 
-/// α: a value for every parameter, at every level.
+/// α: the values of all parameters at all levels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Alpha {
     /// Values in the order of [`Model::parameters`](crate::Model::parameters).
     pub values: Vec<Level>,
 }
 
-/// Reason why there is no α.
+/// Reason why a model has no α.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParameterError {
-    /// These parameters are free, and nothing estimates them.
+    /// Some parameters are free, where all parameters must be known.
     #[error("free parameters: {}", names.join(", "))]
     Free {
         /// Names of the parameters.
@@ -74,8 +75,8 @@ pub enum ParameterError {
 }
 
 impl Alpha {
-    /// α with other values of the free parameters, none of them zero: a number that is zero at both α hardly depends on
-    /// them.
+    /// α with other, nonzero values of the free parameters: a function that is zero at both α hardly depends on the
+    /// free parameters.
     pub fn at_other_values(&self, free: &[bool]) -> Alpha {
         let moved = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
         let of = |(level, free): (&Level, bool)| match level {
@@ -91,8 +92,8 @@ impl Alpha {
         Alpha { values: self.values.iter().zip(free).map(of).collect() }
     }
 
-    /// The α of a model whose parameters have values. A parameter with levels needs a value at one level only; a row
-    /// with another level is then an error where the value is needed.
+    /// The α of a model whose parameters all have values. A parameter with levels needs a value at one level only;
+    /// evaluation on a row of a level without a value is an error.
     pub fn fixed(parameters: &[Parameter]) -> Result<Alpha, ParameterError> {
         let free: Vec<String> = parameters.iter().filter(|p| p.has_no_value()).map(|p| p.name.clone()).collect();
         if !free.is_empty() {
@@ -106,7 +107,7 @@ impl Alpha {
         Alpha { values: values.into_iter().map(Level::Common).collect() }
     }
 
-    /// Value of parameter `index` on a row with these text cells.
+    /// Value of parameter `index` on a row with text cells `texts`.
     pub fn value(&self, index: usize, texts: &[Label]) -> Result<f64, EvaluationError> {
         match &self.values[index] {
             Level::Common(value) => Ok(*value),
@@ -122,13 +123,13 @@ impl Alpha {
 }
 
 impl Parameter {
-    /// True when values of the parameter are to be estimated: its common value, or that of every level that is not
+    /// Whether values of the parameter are to be estimated: the common value, or the value at every level that is not
     /// fixed. [`Slots`](crate::model::Slots) shows whether the data have such levels.
     pub fn is_free(&self) -> bool {
         matches!(self.value, Value::Free { .. })
     }
 
-    /// True when no value of the parameter is known, at any level.
+    /// Whether no value of the parameter is known, at any level.
     fn has_no_value(&self) -> bool {
         self.is_free() && (self.per.is_none() || self.fixed_levels.is_empty())
     }
@@ -140,7 +141,7 @@ impl Parameter {
         };
         match (self.per, common) {
             (None, Some(value)) => Level::Common(value),
-            (None, None) => Level::Common(f64::NAN), // unreachable: such a parameter has no value
+            (None, None) => Level::Common(f64::NAN), // unreachable: `fixed` refuses parameters without a value
             (Some(column), other) => Level::Each {
                 column,
                 values: self.fixed_levels.iter().map(|(&literal, &v)| (Label::literal(literal), v)).collect(),

@@ -1,4 +1,5 @@
-//! Tests in several phases: one [`Model`] each, and how a phase inherits from the one before it (theory §7).
+//! Models of tests in several phases: a [`Model`] of each phase, and what a phase inherits from the phase before
+//! (theory §7).
 
 use nalgebra::DMatrix;
 
@@ -6,28 +7,28 @@ use crate::model::{CovarianceStructure, Expression, Initial, Linear, Model};
 
 /// The model of a whole test: its phases, in the order in which they happen.
 ///
-/// Invariants (kept by whoever builds one): there is at least one phase; all phases have the same `title`, `columns`,
-/// `text_columns`, `literals`, `parameters` and `group`, so that one [`Alpha`](crate::Alpha) and one
-/// [`Labels`](crate::Labels) serve them all; the first phase has an empty `carry`; names of phases differ; `column` is
-/// given when there are several phases; there are no levels then, nor together with a filter.
+/// Invariants, which the maker of a model must keep: there is at least one phase; all phases have the same `title`,
+/// `columns`, `text_columns`, `literals`, `parameters` and `group`, so that one [`Alpha`](crate::Alpha) and one
+/// [`Labels`](crate::Labels) serve all phases; the first phase has an empty `carry`; names of phases differ; a model of
+/// several phases has a `column`; a model with levels has a single phase without a filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasedModel {
     /// The phases.
     pub phases: Vec<Phase>,
-    /// Text column that names the phase of a row; `None` where all rows are of the only phase.
+    /// Index of the text column that names the phase of a row; `None` where all rows are of the only phase.
     pub column: Option<usize>,
     /// Levels of groups of tests, the outermost first (theory §11); empty where tests are independent of each other.
     pub levels: Vec<GroupLevel>,
 }
 
-/// A level of groups of tests: ξ of a test is the sum of μ, of a deviation of each of its groups, and of a deviation of
-/// the test. The model's covariance is that of the tests' deviations within a group of the innermost level.
+/// A level of groups of tests: ξ of a test is the sum of μ, of a deviation of each group that contains the test, and of
+/// a deviation of the test. The covariance of the model is the covariance of the deviations of tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupLevel {
-    /// Name of the level, which is that of its column.
+    /// Name of the level, equal to the name of the column.
     pub name: String,
-    /// Text column with the name of the group, constant within a test. A group is identified by this name and those of
-    /// the groups that contain it.
+    /// Index of the text column with the name of the group, constant within a test. A group is identified by this name
+    /// and the names of all groups that contain the group.
     pub column: usize,
     /// Covariance of the deviations of groups, p × p, without a `known` part.
     pub covariance: CovarianceStructure,
@@ -38,21 +39,23 @@ pub struct GroupLevel {
 pub struct Phase {
     /// Name of the phase; `main` for the only phase of a model file without phases.
     pub name: String,
-    /// Literal (index into [`Model::literals`]) that marks its rows in the phase column; `None` without such a column.
+    /// Index in [`Model::literals`] of the text that marks the rows of the phase in the phase column; `None` without
+    /// such a column.
     pub label: Option<usize>,
     /// States, measurements and constraints of the phase.
     pub model: Model,
     /// What x_0 inherits from the phase before, at most one entry for each state, in ascending order of state.
     pub carry: Vec<Carry>,
-    /// The suboptimal filter whose estimates replace the phase's measurements (theory §8).
+    /// The suboptimal filter whose estimates replace the measurements of the phase (theory §8).
     pub filter: Option<Filter>,
 }
 
-/// x_0 of a state = its own part + this linear form in the final states of the phase before; coefficients are expressions
-/// in parameters and in columns constant within the test, evaluated on the first row of the phase that inherits.
+/// What x_0 of a state inherits: a linear form in the final states of the phase before, which is added to x_0;
+/// coefficients are expressions in parameters and in columns constant within the test, evaluated on the first row of
+/// the phase that inherits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Carry {
-    /// The state that inherits.
+    /// Index of the state that inherits.
     pub state: usize,
     /// Terms in the states of the phase before.
     pub from: Linear,
@@ -61,13 +64,15 @@ pub struct Carry {
 /// A filter that need not be optimal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Filter {
-    /// States whose uncertainty is accounted for but which are not estimated (Schmidt), ascending.
+    /// Indices of the states that the filter does not estimate but whose uncertainty the filter accounts for (Schmidt),
+    /// ascending.
     pub consider: Vec<usize>,
-    /// The filter's prior mean, one number for each state.
+    /// Prior mean of the filter, one number for each of the n states.
     pub mean: Vec<f64>,
-    /// The filter's prior covariance, n × n, positive semidefinite.
+    /// Prior covariance of the filter, n × n, positive semidefinite.
     pub covariance: DMatrix<f64>,
-    /// (parameter, value) for each parameter for which the filter assumes another value than the model's.
+    /// (index of the parameter, value) for each parameter whose value in the filter differs from the value in the
+    /// model.
     pub parameters: Vec<(usize, f64)>,
 }
 
@@ -75,12 +80,13 @@ pub struct Filter {
 pub const MAIN: &str = "main";
 
 impl PhasedModel {
-    /// What all phases have in common: title, columns, texts, parameters and group.
+    /// The model of the first phase, for the fields that all phases have in common: title, columns, texts, parameters
+    /// and group.
     pub fn shared(&self) -> &Model {
         &self.phases[0].model
     }
 
-    /// The models of all phases, for writing. What they have in common must be changed in each of them.
+    /// The models of all phases, for writing. A field that all phases have in common must be changed in every model.
     pub fn models_mut(&mut self) -> impl Iterator<Item = &mut Model> {
         self.phases.iter_mut().map(|phase| &mut phase.model)
     }
@@ -90,7 +96,7 @@ impl PhasedModel {
         self.phases.iter().map(|phase| phase.model.dimension()).sum()
     }
 
-    /// Range of the elements of each phase among those of all phases.
+    /// For each phase, the range of the estimated states of the phase among the estimated states of all phases.
     pub fn ranges(&self) -> Vec<std::ops::Range<usize>> {
         let mut end = 0;
         let range = |phase: &Phase| {
@@ -101,8 +107,8 @@ impl PhasedModel {
         self.phases.iter().map(range).collect()
     }
 
-    /// The structure of each block of Σ and the range of its states: a block for each phase or, with groups, one for
-    /// the only phase and one for each level of groups, the innermost first.
+    /// (structure, range of states) of each block of Σ: a block for each phase or, with groups, a block for the only
+    /// phase and then a block for each level of groups, the innermost first.
     pub fn blocks(&self) -> impl Iterator<Item = (&CovarianceStructure, std::ops::Range<usize>)> {
         let p = self.dimension();
         let phases = self.phases.iter().map(|phase| &phase.model.covariance).zip(self.ranges());
@@ -110,8 +116,8 @@ impl PhasedModel {
         phases.chain(levels.map(move |(l, level)| (&level.covariance, (l + 1) * p..(l + 2) * p)))
     }
 
-    /// Names of the elements of all blocks of Σ: the estimated states, then the same states for each level of groups as
-    /// `level.state`.
+    /// Names of the elements of all blocks of Σ: the estimated states, then, as `level.state`, the estimated states at
+    /// each level of groups, the innermost first.
     pub fn element_names(&self) -> Vec<String> {
         let own = self.estimated_names();
         let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
@@ -123,7 +129,7 @@ impl PhasedModel {
         self.phases.len() == 1
     }
 
-    /// Names of the estimated states of all phases, `phase.state` where there are several.
+    /// Names of the estimated states of all phases, as `phase.state` where there are several phases.
     pub fn estimated_names(&self) -> Vec<String> {
         let of = |phase: &Phase| -> Vec<String> {
             let names = phase.model.estimated_names();
@@ -141,21 +147,21 @@ impl From<Model> for PhasedModel {
 }
 
 impl Phase {
-    /// The expressions in all that x_0 inherits.
+    /// The expressions in all linear forms that x_0 inherits.
     pub fn inherited_expressions(&self) -> impl Iterator<Item = &Expression> {
         self.carry.iter().flat_map(|carry| carry.from.expressions())
     }
 
-    /// States through which anything unknown enters, in the order of the coordinates of the phase's reduction: the estimated
-    /// ones in the order of μ and Σ, then those that only inherit.
+    /// Indices of the states through which anything unknown enters, in the order of the coordinates of the reduction of
+    /// the phase: the estimated states in the order of μ and Σ, then the states that only inherit.
     pub fn entering(&self) -> Vec<usize> {
         let mut states = self.model.estimated.clone();
         states.extend(self.carry.iter().map(|carry| carry.state).filter(|state| !self.model.estimated.contains(state)));
         states
     }
 
-    /// The model with all entering states as its ξ, as the reduction needs it: x_0 = a + E σ + ζ with σ the coordinates
-    /// of [`Phase::entering`]. States that only inherit keep their `initial`, which is known: it gives a and P0.
+    /// The model with all entering states as ξ, from which the reduction is made: x_0 = a + E σ + ζ with σ the
+    /// coordinates of [`Phase::entering`]. A state that only inherits keeps the known `initial`, which gives a and P0.
     pub fn entry_model(&self) -> Model {
         let mut model = self.model.clone();
         model.estimated = self.entering();

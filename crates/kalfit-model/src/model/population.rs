@@ -8,30 +8,31 @@ use crate::model::{
 use kalfit_algebra::symmetric;
 
 /// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r. In a model of phases, ξ_j holds the
-/// estimated states of all phases one after the other; those of different phases are independent.
+/// estimated states of all phases one after the other; states of different phases are independent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Population {
-    /// μ (p), in the order of [`Model::estimated`], phase by phase. In a model with levels of groups, all elements
-    /// occur once for the tests and once more for each level, the innermost first, with mean zero: ξ_j is the sum.
+    /// μ (p), in the order of [`Model::estimated`], phase by phase. In a model with levels of groups, the p elements of
+    /// the tests come first, then p elements of mean zero for each level, the innermost first: ξ_j is the sum over
+    /// tests and levels.
     pub mean: Vec<f64>,
-    /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression), phase by
-    /// phase.
+    /// The regression coefficients, in the order of
+    /// [`MeanStructure::regression`](crate::model::MeanStructure::regression), phase by phase.
     pub coefficients: Vec<f64>,
-    /// Σ (p × p), positive semidefinite; it may be singular. Zero between phases.
+    /// Σ (p × p), positive semidefinite, possibly singular, zero between phases and between levels.
     pub covariance: DMatrix<f64>,
 }
 
 /// Reason why there is no population.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PopulationError {
-    /// A count differs from the model's.
+    /// A number of elements differs from the number in the model.
     #[error("found {found} {what}, expected {expected} as in the model")]
     Count {
         /// What was counted.
         what: &'static str,
-        /// Number found.
+        /// Number in the population.
         found: usize,
-        /// Number expected.
+        /// Number in the model.
         expected: usize,
     },
     /// A value is not a finite number.
@@ -70,7 +71,7 @@ pub enum PopulationError {
     /// The model gives no value to some elements.
     #[error("no value is given for {}", elements.join(", "))]
     NoValue {
-        /// `mean[a]`, `covariance[a, b]` and the like.
+        /// Names of the elements, such as `mean[a]` or `covariance[a, b]`.
         elements: Vec<String>,
     },
 }
@@ -86,11 +87,11 @@ impl Population {
         Population { mean, coefficients: self.coefficients.clone(), covariance: DMatrix::from_fn(p, p, sum) }
     }
 
-    /// The population that a model describes: its fixed values, else its start values.
+    /// The population of the fixed values in a model or, for elements that are not fixed, of the start values.
     ///
     /// # Errors
-    /// [`PopulationError::NoValue`] names all elements that have neither; another error is a matrix that is not
-    /// positive semidefinite.
+    /// [`PopulationError::NoValue`] names all elements without a fixed value or a start value; another error is a
+    /// matrix that is not positive semidefinite.
     pub fn of_model(model: &PhasedModel, alpha: &Alpha) -> Result<Population, PopulationError> {
         let names = model.element_names();
         let p = names.len();
@@ -121,11 +122,11 @@ impl Population {
         Ok(population)
     }
 
-    /// Checks that the population has the model's dimensions, finite values, and a covariance that is symmetric and
-    /// positive semidefinite.
+    /// Checks that the population has the dimensions of the model, finite values, and a covariance that is symmetric
+    /// and positive semidefinite.
     ///
     /// # Errors
-    /// The first of these conditions that fails.
+    /// The error names the first condition that does not hold.
     pub fn check(&self, model: &PhasedModel) -> Result<(), PopulationError> {
         let regressions = model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
         let names = model.element_names();
@@ -143,7 +144,8 @@ impl Population {
         }
     }
 
-    /// [`Population::check`] against p states of these names, and a number of regression coefficients.
+    /// [`Population::check`] for p states with names `name(i)` and for `regressions` regression coefficients;
+    /// correlations between phases are not checked.
     pub fn check_named(
         &self,
         p: usize,
@@ -193,16 +195,16 @@ impl Population {
     }
 }
 
-/// One phase's model, with the names of its estimated states as messages show them.
+/// The model of one phase, with the names of the estimated states for messages.
 struct NamedBlock<'a> {
     model: &'a Model,
-    /// Structure of Σ: the model's, or that of a level of groups.
+    /// Structure of the covariance of the phase, or of a level of groups.
     structure: &'a CovarianceStructure,
     names: &'a [String],
 }
 
 impl NamedBlock<'_> {
-    /// μ, with zeros where nothing is given; what is missing is added to `missing`.
+    /// μ, with zeros where no value is given; the names of elements without a value are added to `missing`.
     fn means(&self, missing: &mut Vec<String>) -> Vec<f64> {
         let structure = &self.model.mean;
         let scale = structure.elements.iter().zip(&structure.start).find_map(|(element, start)| match element {
@@ -217,7 +219,7 @@ impl NamedBlock<'_> {
         };
         let mut mean = vec![0.0; structure.elements.len()];
         for (i, element) in structure.elements.iter().enumerate() {
-            // A tied element whose sources lack values is not listed in addition to them.
+            // A tied element is not listed: the list contains the elements without a value in the tie.
             match (element, own(i)) {
                 (MeanElement::Tied { constant, terms }, _) => {
                     mean[i] = terms.iter().fold(*constant, |sum, &(k, weight)| sum + weight * own(k).unwrap_or(0.0));
@@ -229,7 +231,7 @@ impl NamedBlock<'_> {
         mean
     }
 
-    /// Σ, with zeros where nothing is given; what is missing is added to `missing`.
+    /// Σ, with zeros where no value is given; the names of elements without a value are added to `missing`.
     fn covariance(&self, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
         let NamedBlock { structure, names: name, .. } = *self;
         let p = name.len();
@@ -276,7 +278,7 @@ impl NamedBlock<'_> {
     }
 }
 
-/// True when a variance is fixed at zero.
+/// Whether variance σ_ii is fixed at zero.
 fn is_zero(structure: &CovarianceStructure, i: usize) -> bool {
     structure.fixed.iter().any(|e| (e.i, e.j) == (i, i) && e.value == 0.0)
 }

@@ -3,7 +3,8 @@
 use crate::model::{Expression, Function, Model, Operator, Site};
 
 impl Expression {
-    /// k, if on every row the expression is zero or θ^k times a factor without θ; 0 if it is zero on all rows.
+    /// k, if on every row the expression is zero or θ^k times a factor without θ; 0 if the expression is zero on all
+    /// rows.
     pub fn exponent(&self, parameter: usize) -> Option<f64> {
         match self.exponents(parameter)?[..] {
             [] => Some(0.0),
@@ -12,8 +13,8 @@ impl Expression {
         }
     }
 
-    /// The exponents k with which the expression is θ^k, θ > 0, times a factor without θ: one for each row where it is
-    /// not zero, ascending, without repetition; `None` when it is not of that form.
+    /// The exponents k with which the expression is θ^k, θ > 0, times a factor without θ: the exponents of all rows
+    /// with a nonzero value, ascending, without repetition; `None` if the expression has another form.
     pub(super) fn exponents(&self, parameter: usize) -> Option<Vec<f64>> {
         let of = |part: &Expression| part.exponents(parameter);
         match self {
@@ -31,7 +32,7 @@ impl Expression {
                 Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
             }
             Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-            // an argument of zero compares with the others in the same way whatever θ is
+            // the comparison of an argument of zero with any other argument does not depend on θ
             Expression::Call(Function::Min | Function::Max, arguments) => {
                 arguments.iter().try_fold(Vec::new(), |known, argument| common_exponents(known, of(argument)?))
             }
@@ -45,7 +46,7 @@ impl Expression {
     }
 }
 
-/// Exponents of a sum: those of its terms, if all terms have the same one.
+/// Exponents of a sum a + b, if both terms have one and the same exponent or one term is zero.
 fn common_exponents(a: Vec<f64>, b: Vec<f64>) -> Option<Vec<f64>> {
     match (&a[..], &b[..]) {
         ([], _) => Some(b),
@@ -66,8 +67,8 @@ fn ascending(mut exponents: Vec<f64>) -> Vec<f64> {
 }
 
 impl Model {
-    /// k, if every variance of the model is proportional to θ^k and nothing else, except Σ, depends on θ: then θ scales
-    /// all noise.
+    /// k, if every variance of the model is proportional to θ^k and, except for Σ, no other expression depends on θ:
+    /// then θ scales all noise.
     pub fn noise_power(&self, parameter: usize) -> Option<f64> {
         let mut found = Vec::new();
         for (site, expression) in self.expressions() {

@@ -1,7 +1,7 @@
 //! Roles of parameters, derived from every expression in which they occur.
 //!
-//! A parameter that only scales noise has no sign that matters: ℓ depends on the variances, and these are even in a
-//! standard deviation and at least zero where they are proportional to a variance. So such a parameter can be taken as
+//! The sign of a parameter that only scales noise does not matter: ℓ depends on the variances, which are even functions
+//! of a standard deviation and proportional to a variance, which is never negative. So such a parameter can be taken as
 //! positive without loss, and so can a time constant, which cannot pass through zero.
 
 use crate::model::{CovarianceKind, CovarianceStructure, Expression, Model, Motion, Phase, PhasedModel, Site};
@@ -21,10 +21,10 @@ pub enum Role {
         /// 2 for a standard deviation, 1 for a variance (and for a parameter that serves as both).
         power: i32,
     },
-    /// A time constant: the parameter occurs in the motion of states only as such (-1/τ times the state itself, or
-    /// exp(-dt/τ)), and in variances. It is positive.
+    /// A time constant τ > 0: in the motion of states the parameter occurs only as -1/τ times the moving state or as
+    /// exp(-dt/τ), elsewhere only in variances.
     TimeConstant,
-    /// Any other role, also that of a parameter that occurs nowhere.
+    /// Any other role, including the role of a parameter that occurs nowhere.
     Other,
 }
 
@@ -35,9 +35,9 @@ enum SiteKind {
     Variance,
     /// A covariance of noises, of known starts, or in a matrix of Σ.
     Covariance,
-    /// The derivative of a state; `own` marks the coefficient of that state itself.
+    /// The derivative of a state; `own` is true in the coefficient of the state that moves.
     Derivative { own: bool },
-    /// The next value of a state; `own` marks the coefficient of that state itself.
+    /// The next value of a state; `own` is true for the coefficient of the state that moves.
     Next { own: bool },
     /// Any other position: a coefficient, an input, a condition, a correlation.
     Elsewhere,
@@ -46,19 +46,22 @@ enum SiteKind {
 /// The role of each parameter of a model.
 ///
 /// A parameter is a [`Role::Scale`] when it occurs only in variances and covariances, in at least one variance, and
-/// - every variance is even in it, built of products, quotients, powers, roots, sums and alternatives (`sigma`, `if(a, sd, 0)`,
-///   `sigma * (1 + b * T)` in sigma, `sqrt(a^2 + b^2 * x)` in a and b), or it is a factor of every variance (`variance = "v"`),
-///   or a variance added to what is known or even (`variance = "v + tau2"`);
-/// - where it occurs in covariances, it is a factor of these and of the variances: `rho * sd0 * sd1`. The sign of the
-///   covariance is then that of the other factors, such as a rho that may take either sign. In `l1 * l2` together with
-///   the variances `l1^2 + u1` the parameters are loadings, whose signs matter, and not scales.
+/// - every variance is an even function of the parameter, built of products, quotients, powers, roots, sums and
+///   alternatives (standard deviations `sigma`, `if(a, sd, 0)`, `sigma * (1 + b * T)` for sigma, `sqrt(a^2 + b^2 * x)`
+///   for a and b); or the parameter is a factor of every variance (`variance = "v"`), or a variance added to terms that
+///   are known or even (`variance = "v + tau2"`);
+/// - where the parameter occurs in covariances, the parameter is a factor of all covariances and variances with the
+///   parameter: `rho * sd0 * sd1`. The sign of the covariance is then the sign of the other factors, such as a rho of
+///   either sign. In `l1 * l2` together with the variances `l1^2 + u1` the parameters are loadings, whose signs matter,
+///   and not scales.
 ///
-/// Terms of a sum that may be negative (`a + b * T`) and functions such as exp make it [`Role::Other`].
+/// Parameters in terms of a sum that may be negative (`a + b * T`) or in functions such as exp have [`Role::Other`].
 pub fn roles(model: &PhasedModel) -> Vec<Role> {
     roles_among(model, model.shared().parameters.len())
 }
 
-/// As [`roles`], for a model that need not contain its parameters yet; `parameters` is their number.
+/// The role of each of `parameters` parameters, as in [`roles`], for a model whose list of parameters may still be
+/// empty.
 pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     let mut occurrences = vec![Vec::new(); parameters];
     let mut note = |site_kind, expression| {
@@ -96,8 +99,8 @@ fn scale(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Option<i3
     power
 }
 
-/// Whether every motion in which the parameter occurs decays with it, at least one through the coefficient of the state
-/// itself.
+/// Whether the parameter is a decay wherever it occurs in motion, and at least once in the coefficient of the state
+/// that moves.
 fn is_time_constant(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> bool {
     let mut decays = false;
     for (site_kind, expression) in occurrences {
@@ -119,7 +122,7 @@ fn is_time_constant(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -
     decays
 }
 
-/// Visits every expression of a phase, with its kind of position.
+/// Visits every expression of a phase, with the kind of position of the expression.
 fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(SiteKind, &'m Expression)) {
     let model = &phase.model;
     for (site, expression) in model.expressions() {
@@ -152,7 +155,7 @@ fn of_structure(kind: &CovarianceKind, diagonal: bool) -> SiteKind {
     if matches!(kind, CovarianceKind::Correlation(_)) { SiteKind::Elsewhere } else { of_matrix(diagonal) }
 }
 
-/// Visits every expression of the covariance matrix of a level of groups.
+/// Visits every expression of the covariance matrix of a level of groups, with the kind of position.
 fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(SiteKind, &'m Expression)) {
     for (site, expression) in covariance.kind.expressions() {
         let diagonal = site == Site::Structure { diagonal: true };

@@ -1,4 +1,4 @@
-//! Positions of expressions in a model, and the one walk over all of them.
+//! Positions of expressions in a model, and the list of all expressions.
 
 use crate::model::{CovarianceKind, Expression, Initial, Linear, Model};
 
@@ -7,14 +7,14 @@ use crate::model::{CovarianceKind, Expression, Initial, Linear, Model};
 pub enum Site {
     /// The coefficient of one state in the derivative, or the next value, of a state.
     Rate {
-        /// The state that moves.
+        /// Index of the state that moves.
         state: usize,
-        /// The state whose coefficient it is.
+        /// Index of the state that the coefficient multiplies.
         from: usize,
     },
     /// The constant term of the derivative, or the next value, of a state.
     Input(usize),
-    /// The variance of a state's process noise.
+    /// The variance of the process noise of a state.
     ProcessNoise(usize),
     /// The known mean of a state at the start.
     InitialMean(usize),
@@ -24,16 +24,16 @@ pub enum Site {
     Offset(usize),
     /// The coefficient of a state in a measurement.
     Coefficient {
-        /// The measurement.
+        /// Index of the measurement.
         measurement: usize,
-        /// The state.
+        /// Index of the state.
         state: usize,
     },
     /// The constant term of a measurement.
     Constant(usize),
-    /// The variance of a measurement's noise.
+    /// The variance of the noise of a measurement.
     Noise(usize),
-    /// `where` of a measurement.
+    /// The condition `where` of a measurement.
     Filter(usize),
     /// A covariance of two process noises.
     ProcessCovariance,
@@ -41,12 +41,12 @@ pub enum Site {
     NoiseCovariance,
     /// The time of x_0.
     InitialTime,
-    /// An element of the part of the initial covariance that is known.
+    /// An element of the known covariance that is added to Σ.
     KnownCovariance {
         /// Whether the element is a variance.
         diagonal: bool,
     },
-    /// An element of a matrix in the structure of Σ: fixed, proportional, or of correlations.
+    /// An element of the matrix in the structure of Σ: of a fixed Σ, of Σ* in Σ = β Σ*, or of R in Σ = D R D.
     Structure {
         /// Whether the element is on the diagonal.
         diagonal: bool,
@@ -54,7 +54,8 @@ pub enum Site {
 }
 
 impl Site {
-    /// Whether the site is part of the filter: of the motion of states or the measurements, with their noises.
+    /// Whether the site is part of the filter: of the motion of states, of a measurement, or of process or measurement
+    /// noise.
     pub fn is_of_filter(self) -> bool {
         self.is_of_motion()
             || matches!(
@@ -63,7 +64,7 @@ impl Site {
             )
     }
 
-    /// Whether the site is part of the motion of states, with its noise.
+    /// Whether the site is part of the motion of states or of process noise.
     pub fn is_of_motion(self) -> bool {
         matches!(self, Site::Rate { .. } | Site::Input(_) | Site::ProcessNoise(_) | Site::ProcessCovariance)
     }
@@ -96,7 +97,8 @@ impl Site {
 }
 
 impl Model {
-    /// Every expression, with its position: states in their order, then measurements, covariances, and the start.
+    /// (position, expression) of every expression in the model: of the states, then of measurements, of noise
+    /// covariances, of the time of x_0, and of the known covariance and the structure of Σ.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
         self.each_of_states(&mut all);
@@ -135,7 +137,7 @@ impl Model {
 }
 
 impl CovarianceKind {
-    /// The elements of the structure's matrix with their positions, if it has a matrix.
+    /// (position, element) of every element of the matrix in the structure; empty for structures without a matrix.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
         if let CovarianceKind::Proportional(own) | CovarianceKind::Correlation(own) | CovarianceKind::Fixed(own) = self

@@ -14,7 +14,8 @@ pub struct Slot {
     pub level: Option<Label>,
 }
 
-/// All free values of α, in the order of the model's parameters and, within one parameter, of the texts of its levels.
+/// All free values of α, in the order of the parameters of the model; the values of one parameter are in the
+/// alphabetical order of the levels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Slots {
     slots: Vec<Slot>,
@@ -30,17 +31,17 @@ enum ParameterSlots {
 }
 
 impl Slots {
-    /// The free values of a model, with the levels that occur in these tests.
+    /// The free values of a model, with the levels that occur in `tests`.
     pub fn new(model: &Model, labels: &Labels, tests: &[Test]) -> Slots {
         Slots::of(model, labels, &tests.iter().collect::<Vec<_>>())
     }
 
-    /// The slots of a model whose parameters are all known: none.
+    /// The empty list of slots, for a model whose parameters are all known.
     pub fn none(model: &Model) -> Slots {
         Slots { slots: Vec::new(), positions: model.parameters.iter().map(|_| ParameterSlots::Fixed).collect() }
     }
 
-    /// As `new`, from references to tests.
+    /// [`Slots::new`] from references to tests.
     pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();
         for (parameter, what) in model.parameters.iter().enumerate() {
@@ -74,12 +75,12 @@ impl Slots {
         self.slots.len()
     }
 
-    /// True when all of α is known.
+    /// Whether α has no free values.
     pub fn is_empty(&self) -> bool {
         self.slots.is_empty()
     }
 
-    /// True when some value of the parameter is free.
+    /// Whether some value of the parameter is free.
     pub fn is_free(&self, parameter: usize) -> bool {
         match &self.positions[parameter] {
             ParameterSlots::Fixed => false,
@@ -88,12 +89,12 @@ impl Slots {
         }
     }
 
-    /// Whether each parameter has free values, in the order of the parameters.
+    /// For each parameter of the model, whether some value is free.
     pub fn free(&self) -> Vec<bool> {
         (0..self.positions.len()).map(|parameter| self.is_free(parameter)).collect()
     }
 
-    /// Slot of a parameter whose free value is common to all rows; `None` for any other parameter.
+    /// Index of the slot of a parameter whose free value is common to all rows; `None` for any other parameter.
     pub fn common(&self, parameter: usize) -> Option<usize> {
         match &self.positions[parameter] {
             ParameterSlots::Common(slot) => Some(*slot),
@@ -101,7 +102,7 @@ impl Slots {
         }
     }
 
-    /// Slot of a parameter on a row with these text cells; `None` where its value is fixed.
+    /// Index of the slot of a parameter on a row with text cells `texts`; `None` where the value is fixed.
     pub fn find(&self, parameter: usize, texts: &[Label]) -> Option<usize> {
         match &self.positions[parameter] {
             ParameterSlots::Fixed => None,
@@ -110,7 +111,7 @@ impl Slots {
         }
     }
 
-    /// α with these values in the slots; the other values are the model's fixed ones.
+    /// α with the slot values `values` and the fixed values of the model.
     pub fn alpha(&self, model: &Model, values: &[f64]) -> Alpha {
         let level = |(parameter, positions): (&Parameter, &ParameterSlots)| match positions {
             ParameterSlots::Fixed => parameter.level(),

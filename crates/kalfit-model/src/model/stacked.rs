@@ -5,7 +5,8 @@ use std::ops::Range;
 use crate::model::{Phase, PhasedModel, Population};
 
 impl Population {
-    /// The population of each phase. `self` must have the shape of the model.
+    /// The population of each phase: parts of μ, of the regression coefficients and of Σ. `self` must have the
+    /// dimensions of the model.
     pub fn by_phase(&self, model: &PhasedModel) -> Vec<Population> {
         let mut coefficients = self.coefficients.as_slice();
         let of = |(phase, range): (&Phase, Range<usize>)| {

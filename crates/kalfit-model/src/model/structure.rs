@@ -6,12 +6,13 @@ use crate::model::{EvaluationError, Expression};
 
 /// Structure of the mean: μ_j = m0 + B β + Σ_r e_state(r) × covariate_jr × coefficient_r.
 ///
-/// β has one entry for each free element and one for all proportional elements together; regression coefficients follow.
+/// β has one entry for each free element and one entry for all proportional elements together; β does not contain the
+/// regression coefficients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeanStructure {
     /// Constraint on each element of μ.
     pub elements: Vec<MeanElement>,
-    /// Start values of elements, where given.
+    /// Start value of each element of μ, `None` where not given.
     pub start: Vec<Option<f64>>,
     /// Regressions on columns that are constant within a test.
     pub regression: Vec<Regression>,
@@ -24,23 +25,23 @@ pub enum MeanElement {
     Free,
     /// The element is known.
     Fixed(f64),
-    /// constant + Σ weight × other element; the others are not tied themselves.
+    /// The element is constant + Σ weight × other element, over other elements that are not tied.
     Tied {
         /// The constant.
         constant: f64,
-        /// (element, weight) of each other element.
+        /// (index, weight) of each other element.
         terms: Vec<(usize, f64)>,
     },
-    /// α_μ × this weight, α_μ common to all proportional elements (34).
+    /// The element is α_μ × this weight, with one factor α_μ for all proportional elements (34).
     Proportional(f64),
 }
 
 /// One regression coefficient: the mean of `element` is linear in a column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Regression {
-    /// Element of μ.
+    /// Index of the element of μ.
     pub element: usize,
-    /// Numeric column, constant within a test.
+    /// Index of a numeric column that is constant within a test.
     pub column: usize,
 }
 
@@ -55,7 +56,7 @@ impl MeanStructure {
         MeanStructure { elements: vec![MeanElement::Fixed(0.0); p], ..MeanStructure::free(p) }
     }
 
-    /// (m0, B): μ = m0 + Bβ, without the regression. Shapes p and p × q.
+    /// (m0, B) of μ = m0 + Bβ without the regression: m0 has p elements, B is p × q.
     pub fn basis(&self) -> (Vec<f64>, DMatrix<f64>) {
         let p = self.elements.len();
         let mut column_of = vec![None; p];
@@ -100,13 +101,13 @@ impl MeanStructure {
 pub struct CovarianceStructure {
     /// The overall form.
     pub kind: CovarianceKind,
-    /// Fixed elements, i ≥ j, each once; a variance fixed at zero implies zeros in its row and column.
+    /// Fixed elements, i ≥ j, each once; a variance σ_ii fixed at zero implies zeros in row i and column i.
     pub fixed: Vec<FixedElement>,
-    /// Groups of elements (i ≥ j) that are equal.
+    /// Lists of elements (i, j), i ≥ j; the elements of one list are equal.
     pub equal: Vec<Vec<(usize, usize)>>,
-    /// Known covariance added to the estimated one, p × p (29)-(30). It is part of P0, not of Σ.
+    /// Known covariance added to the estimated Σ, p × p (29)-(30). The known covariance is part of P0, not of Σ.
     pub known: Option<Vec<Vec<Expression>>>,
-    /// Start value, p × p.
+    /// Start value of Σ, p × p.
     pub start: Option<DMatrix<f64>>,
 }
 
@@ -115,21 +116,22 @@ pub struct CovarianceStructure {
 pub enum CovarianceKind {
     /// No zeros are imposed.
     Full,
-    /// Zero outside the diagonal.
+    /// Elements outside the diagonal are zero.
     Diagonal,
-    /// States of different blocks are uncorrelated (26)-(28); every element belongs to one block.
+    /// States of different blocks are uncorrelated (26)-(28); the lists are the states of each block, and every state
+    /// belongs to one block.
     Blocks(Vec<Vec<usize>>),
-    /// Σ = β Σ*.
+    /// Σ = β Σ* with this Σ*.
     Proportional(Vec<Vec<Expression>>),
     /// Σ = D R D with this R (35).
     Correlation(Vec<Vec<Expression>>),
-    /// Σ is known.
+    /// Σ is this matrix.
     Fixed(Vec<Vec<Expression>>),
     /// Σ = G0 + Σ_g θ_g G_g, a linear covariance structure (Anderson 1973), with as many free quantities as generators.
-    /// It cannot be combined with `fixed` and `equal` elements: these are constraints on θ, to be written into the
+    /// Such a structure cannot be combined with `fixed` and `equal` elements: constraints on θ must be written into the
     /// generators.
     Linear {
-        /// G0, p × p, symmetric; it need not be positive semidefinite by itself.
+        /// G0, p × p, symmetric; G0 need not be positive semidefinite.
         constant: DMatrix<f64>,
         /// G_g, p × p each, symmetric and linearly independent.
         generators: Vec<DMatrix<f64>>,
@@ -163,7 +165,7 @@ impl CovarianceStructure {
 /// Reason why a structure is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StructureError {
-    /// A matrix that must be positive semidefinite is not.
+    /// A matrix that must be positive semidefinite has a negative eigenvalue.
     #[error("{what} is not positive semidefinite: smallest eigenvalue {least:.3e}, largest {largest:.3e}")]
     NotSemidefinite {
         /// Name of the matrix.
@@ -173,7 +175,7 @@ pub enum StructureError {
         /// Largest eigenvalue of the matrix.
         largest: f64,
     },
-    /// An entry of a matrix has no value at this α.
+    /// An entry of a matrix has no value at the given α.
     #[error("entry ({row}, {column}) of {what} has no value: {source}")]
     Entry {
         /// Name of the matrix.

@@ -1,14 +1,14 @@
-//! Answers received so far, and the questions to be asked next.
+//! Answers of the sites so far, and the next questions to the sites.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::remote::question::{Asked, Question};
 
-/// Numbers that add over tests; `None` where the requested sum is not defined.
+/// Sums over tests, one for each requested quantity; `None` where the requested sum is not defined.
 pub type Answer = Option<Vec<f64>>;
 
-/// The sum of the answers of several sites to one question, in the order of the sites; `None` where the answers differ
-/// in length.
+/// The sum of the answers of several sites to one question, in the order of the sites; `None` if two answers differ in
+/// length.
 pub fn sum(answers: &[Answer]) -> Option<Answer> {
     let length = answers.iter().flatten().map(Vec::len).next();
     if answers.iter().flatten().any(|one| Some(one.len()) != length) {
@@ -22,7 +22,7 @@ pub fn sum(answers: &[Answer]) -> Option<Answer> {
     Some(rest.iter().fold(first.clone(), |sum, other| sum.zip(other.as_ref()).map(|(sum, other)| add(sum, other))))
 }
 
-/// All known answers about an ensemble, and the questions of a search that they do not answer.
+/// All known answers about an ensemble, and the questions of a search without a known answer.
 #[derive(Debug, Default)]
 pub struct Answers {
     known: Vec<(Asked, Answer)>,
@@ -38,12 +38,13 @@ struct PendingQuestions {
 }
 
 impl Answers {
-    /// Answers for a search, given those that are known.
+    /// Answers for a search, from all known (question, answer) pairs.
     pub fn new(known: Vec<(Asked, Answer)>) -> Answers {
         Answers { known, pending: Mutex::default() }
     }
 
-    /// Whether a question was asked that has no answer yet: whatever the search does from then on is meaningless.
+    /// Whether the search has put a question without a known answer: all results of the search after this question are
+    /// meaningless.
     pub fn is_waiting(&self) -> bool {
         !self.pending().wanted.is_empty()
     }
@@ -53,8 +54,8 @@ impl Answers {
         self.pending().wanted.clone()
     }
 
-    /// The answer; `None` where it is not defined, or not known. The first question without an answer is recorded, as
-    /// are those that are [asked together](Answers::together) with it.
+    /// The answer to a question; `None` where the answer is not defined, or not known. The first question without an
+    /// answer is recorded, and so are all questions [asked together](Answers::together) with this question.
     pub(crate) fn get(&self, asked: Asked) -> Answer {
         if !asked.is_finite() {
             return None;
@@ -69,7 +70,8 @@ impl Answers {
         None
     }
 
-    /// Runs `ask`, whose questions do not depend on each other, so that one round answers them all.
+    /// Runs `ask`, whose questions do not depend on each other, so that the sites answer all questions of `ask` in one
+    /// round.
     pub fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
         let opened = {
             let mut pending = self.pending();
@@ -87,12 +89,12 @@ impl Answers {
     }
 }
 
-/// Remote tests at an α.
+/// The remote tests, at a given α.
 #[derive(Debug, Clone)]
 pub struct Remote {
     /// The free values of α.
     pub values: Vec<f64>,
-    /// All known answers, and the questions without one.
+    /// All known answers, and the questions without an answer.
     pub answers: Arc<Answers>,
 }
 

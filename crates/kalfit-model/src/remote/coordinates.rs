@@ -1,4 +1,4 @@
-//! The coordinates η that estimation works in.
+//! The coordinates η of estimation.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use kalfit_algebra::symmetric;
 
-/// ξ = centre + scale ∘ η.
+/// The frame of estimation: ξ = centre + scale ∘ η.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Coordinates {
     /// Of each state.
@@ -19,7 +19,8 @@ pub struct Coordinates {
 }
 
 impl Coordinates {
-    /// The same with the whole centre at the first of so many levels, whose states add up.
+    /// The frame with the sum of the centres of all levels as the centre of the first level, and zero as the centre of
+    /// every other level; the states of the levels add up to ξ.
     pub fn centred(&self, levels: usize) -> Coordinates {
         let p = self.centre.len() / levels;
         let sum = |i: usize| (0..levels).map(|l| self.centre[l * p + i]).sum();
@@ -37,7 +38,7 @@ impl Coordinates {
         DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / (self.scale[i] * self.scale[j]))
     }
 
-    /// The frame of some of the states.
+    /// The frame of the states `states`.
     pub fn part(&self, states: &Range<usize>) -> Coordinates {
         let of = |all: &[f64]| all[states.clone()].to_vec();
         Coordinates { centre: of(&self.centre), scale: of(&self.scale), covariate_scale: self.covariate_scale.clone() }
@@ -50,7 +51,7 @@ impl Coordinates {
         mean
     }
 
-    /// The same in its place.
+    /// Overwrites μ in η with μ in the user's units.
     pub fn take_mean_out(&self, mean: &mut [f64]) {
         for ((mean, centre), scale) in mean.iter_mut().zip(&self.centre).zip(&self.scale) {
             *mean = centre + scale * *mean;

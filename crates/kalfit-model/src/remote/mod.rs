@@ -1,12 +1,13 @@
-//! Tests that are elsewhere: on other machines, in other laboratories. No data of a single test leave their site; only
-//! sums over tests are requested, each a list of numbers to which those of other sites are added.
+//! Remote tests: tests on other machines, in other laboratories. No data of a single test leave a site; a site sends
+//! only sums over tests, as lists of numbers, and the lists of all sites are added.
 //!
 //! ```text
 //! (θ, kind, tests) → sums        sums + sums → sums
 //! ```
 //!
-//! A search is repeated from its beginning with all answers that are known ([`Answers`]) until it asks for one that is
-//! not. Every step of the search follows from the answers, so that it reaches the same point again.
+//! A search is repeated from the beginning with all known answers ([`Answers`]) until the search puts a question
+//! without a known answer. Every step of the search follows from the answers, so that a repeated search reaches the
+//! same point.
 
 mod answers;
 mod coordinates;

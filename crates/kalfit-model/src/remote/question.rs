@@ -1,39 +1,39 @@
-//! Questions to tests that are elsewhere.
+//! Questions to remote tests.
 
 use serde::{Deserialize, Serialize};
 
 use crate::remote::coordinates::Coordinates;
 
-/// A sum over tests at an α.
+/// A question at a given α.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Asked {
     /// The free values of α, in the order of [`Slots`](crate::model::Slots).
     pub values: Vec<f64>,
-    /// Which sum is requested.
+    /// The requested sum over tests.
     pub question: Question,
 }
 
-/// Which sum over tests is requested. Matrices are lists of numbers by columns.
+/// A requested sum over tests. Matrices are lists of numbers by columns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Question {
-    /// The number of tests, and the value that they suggest for each free value.
+    /// The number of tests, and a value that the tests suggest for each free value of α.
     Opening,
-    /// The number of tests, and sums over them that need no knowledge of Σ.
+    /// The number of tests, and sums over tests that do not depend on Σ.
     Survey,
-    /// The scatter of tests about a mean in excess of what their noise explains, state by state.
+    /// For each state, the excess of the scatter of tests about a mean over the scatter that noise explains.
     Excess {
         /// Centre and scale of η.
         frame: Coordinates,
         /// The mean in η.
         mean: Vec<f64>,
     },
-    /// The numbers of tests that inform about each state and that observe it.
+    /// The number of tests that inform about each state, and the number of tests that observe each state.
     Observability {
         /// Centre and scale of η.
         frame: Coordinates,
     },
-    /// ℓ and its derivatives with respect to μ and Σ (theory §3).
+    /// ℓ and the derivatives of ℓ with respect to μ and Σ (theory §3).
     Pass {
         /// Centre and scale of η.
         frame: Coordinates,
@@ -41,7 +41,7 @@ pub enum Question {
         place: Place,
         /// Which derivatives are requested.
         detail: Detail,
-        /// What the restricted likelihood needs in addition.
+        /// The free coordinates of the mean, for the restricted likelihood; `None` for the full likelihood.
         flat: Option<Flat>,
     },
     /// dℓ/dα at a law of ξ (theory §6).
@@ -54,19 +54,19 @@ pub enum Question {
 /// μ, regression coefficients and a root of Σ, in η.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
-    /// Mean μ, p numbers.
+    /// μ, p numbers.
     pub mean: Vec<f64>,
     /// Regression coefficients, one for each regression.
     pub coefficients: Vec<f64>,
-    /// F with Σ = FF', p rows.
+    /// F with Σ = FF', p × any number of columns, by columns.
     pub root: Vec<f64>,
 }
 
-/// Which derivatives a pass computes; each choice includes those before it.
+/// Which derivatives a pass computes; each choice includes all earlier choices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Detail {
-    /// ℓ and the first derivatives, which is all that EM needs, and the information on the mean within phases only.
+    /// ℓ, the first derivatives, and the information on the mean within phases only: all that EM needs.
     First,
     /// In addition, all of the information on the mean.
     Mean,
@@ -76,14 +76,14 @@ pub enum Detail {
     Expected,
 }
 
-/// The mean as a function of its free coordinates.
+/// The mean as a linear function of free coordinates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Flat {
     /// Number of free coordinates.
     pub free: usize,
     /// d(mean coordinates) / d(free mean coordinates).
     pub jacobian: Vec<f64>,
-    /// V, the covariance of the free mean coordinates, where it is known.
+    /// V, the covariance of the free mean coordinates; `None` where V is not known.
     pub covariance: Option<Vec<f64>>,
 }
 
@@ -94,16 +94,17 @@ pub struct Law {
     pub mean: Vec<f64>,
     /// (element, coefficient) of each covariate: the element of μ to which coefficient × covariate is added.
     pub regression: Vec<(usize, f64)>,
-    /// F, p rows.
+    /// F, p × any number of columns, by columns.
     pub root: Vec<f64>,
     /// A root of the covariance of (μ, coefficients) at a known Σ, under the restricted likelihood.
     pub mean_half: Option<Vec<f64>>,
-    /// For tests in groups: the law of the groups, from which ξ of each test follows given all tests of its unit.
+    /// For tests in groups: μ and Σ of all levels, from which the law of ξ of each test given all tests of the unit
+    /// follows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub given: Option<InGroups>,
 }
 
-/// μ and the Σ of every level of groups, that of the tests first.
+/// μ and Σ of the tests and of every level of groups, the tests first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InGroups {
     /// Centre and scale of η.
@@ -113,7 +114,7 @@ pub struct InGroups {
 }
 
 impl Asked {
-    /// Whether every number is finite; otherwise no site needs to be asked.
+    /// Whether every number of the question is finite; otherwise the answer is not defined.
     pub(crate) fn is_finite(&self) -> bool {
         let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
         let framed =

@@ -1,11 +1,11 @@
-//! Estimates along the records of the tests of a fit: for charts, and so bounded whatever the size of the ensemble.
+//! Estimates along the records of the tests of a fit: for charts. Their number is bounded for ensembles of any size.
 //!
 //! ```text
 //! fit + its tests ──> Allan deviations of all records, together with those of the model
 //!                └──> the least probable tests: record and predictions, innovations, smoothed states
 //! ```
 //!
-//! Everything here is computed by [`datasheet`](crate::datasheet), [`apply`](crate::apply) and
+//! All estimates are computed by [`datasheet`](crate::datasheet), [`apply`](crate::apply) and
 //! [`innovations`](crate::innovations); of long records only some values are included.
 
 #[cfg(test)]
@@ -35,8 +35,8 @@ const MOST_QUANTILES: usize = 120;
 /// Estimates along the records of the tests of a fit. `goes_on` is given the number of tests done, and returns false to
 /// stop.
 ///
-/// Where tests stand in groups, `tests` must be all tests of the fit: the estimates of a test depend on its group. A
-/// model without times has no records over time, and gives an empty answer.
+/// Where tests are in groups, `tests` must be all tests of the fit: the estimates of a test depend on the group of the
+/// test. A model without times has no records over time, and gives an empty answer.
 pub fn along(
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
@@ -58,7 +58,7 @@ pub fn along(
     record
 }
 
-/// Adds the least probable tests.
+/// Adds the estimates along the least probable tests to the record.
 fn one_by_one(
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
@@ -101,7 +101,7 @@ fn bounds(model: &PhasedModel) -> (usize, usize) {
     (tests, (MOST_NUMBERS / (numbers * tests)).clamp(LEAST_VALUES, MOST_VALUES))
 }
 
-/// Tests that are given by rows, the least probable first, then by id.
+/// Indices of the tests that are given by rows, by ascending p-value, then by id.
 fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
     let of: std::collections::HashMap<&str, f64> = fit.tests.iter().map(|test| (test.id, least(test))).collect();
     let p_value = |test: usize| of.get(tests[test].id.as_str()).copied().unwrap_or(2.0);
@@ -114,7 +114,8 @@ fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
     chosen
 }
 
-/// Smallest p-value of a test: of its distance, of the size of its innovations, or of their whiteness.
+/// Smallest of the p-values of a test for the distance, for the size of the innovations, and for the whiteness of the
+/// innovations; 2 where the test has no p-value.
 fn least(test: TestRecord<'_>) -> f64 {
     let seen = test.innovations;
     let white = seen.and_then(|own| own.whiteness.as_ref()).map(|own| own.p_value);

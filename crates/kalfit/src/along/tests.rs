@@ -26,7 +26,7 @@ fn wave(k: usize) -> f64 {
     ((k * 7919 + 13) % 101) as f64 / 50.0 - 1.0
 }
 
-/// Tests with these numbers of rows; the sixth has an outlier.
+/// Tests with the given numbers of rows; the sixth test has an outlier.
 fn tests(rows: &[usize]) -> Vec<Columns> {
     let one = |(j, &rows): (usize, &usize)| {
         let bias = 2.0 * wave(j * 11 + 3);

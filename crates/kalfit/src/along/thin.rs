@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Number of largest values that are included in addition to the regular ones.
+/// Number of largest values that are included in addition to the values at equal distances.
 const MOST_LARGEST: usize = 20;
 
 /// Indices of about `most` of n values at equal distances, including the first and the last.
@@ -15,7 +15,7 @@ pub(super) fn thinned(n: usize, most: usize) -> Vec<usize> {
     places
 }
 
-/// The indices of [`thinned`], and those of the values that are largest in magnitude.
+/// The indices of [`thinned`], and the indices of the values that are largest in magnitude.
 pub(super) fn with_largest(values: &[f64], most: usize) -> Vec<usize> {
     let mut places = thinned(values.len(), most);
     if places.len() < values.len() {
@@ -30,8 +30,8 @@ pub(super) fn with_largest(values: &[f64], most: usize) -> Vec<usize> {
     places
 }
 
-/// Sorted values, each with the quantile Φ⁻¹((i - ½)/n) of its rank i among n. More than `most` values are thinned at
-/// equal distances of the quantile, so that both tails are complete.
+/// Sorted values, each with the quantile Φ⁻¹((i - ½)/n) of the rank i of the value among n values. More than `most`
+/// values are thinned at equal distances of the quantile, so that both tails are complete.
 pub(super) fn quantiles(values: &[f64], most: usize) -> Vec<[f64; 2]> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! One test along its record: measured and predicted values, innovations, smoothed states.
+//! The results along the record of one test: measured and predicted values, innovations, smoothed states.
 
 use crate::along::MOST_QUANTILES;
 use crate::along::thin::{quantiles, thinned, with_largest};
@@ -17,7 +17,7 @@ pub(super) struct RecordEvaluator<'a> {
     pub(super) values: usize,
 }
 
-/// A measured value and its prediction.
+/// A measured value, with the predicted value and standard deviation.
 struct MeasuredValue {
     at: f64,
     measured: f64,
@@ -26,12 +26,12 @@ struct MeasuredValue {
 }
 
 impl RecordEvaluator<'_> {
-    /// Results along a test; `place`: its index among the tests that the model is applied to.
+    /// The results along the record of a test; `place`: index of the test among the tests that the model is applied to.
     pub(super) fn test(&self, test: &PhasedTest, place: usize) -> Result<TestAlong, ApplyError> {
         let of = |kind| self.applied.states(kind, place..place + 1).map(|mut all| all.pop().unwrap_or_default());
         let predicted = of(StateKind::Predicted)?;
         let measured: Vec<Vec<Vec<MeasuredValue>>> = predicted.iter().map(|phase| self.measured(test, phase)).collect();
-        drop(predicted); // only one of the two is in memory at a time: records may be very long
+        drop(predicted); // predicted and smoothed states are not in memory at the same time: records may be very long
         let seen = self.filter.run(std::slice::from_ref(test)).pop().transpose()?.flatten();
         let seen = seen.map_or(Vec::new(), |own| own.series);
         let smoothed = of(StateKind::Smoothed)?;
@@ -101,7 +101,7 @@ impl RecordEvaluator<'_> {
     }
 }
 
-/// Time of a step; a model with times has one for each.
+/// Time of a step; NaN where the step has no time.
 fn time(of: Option<f64>) -> f64 {
     of.unwrap_or(f64::NAN)
 }

@@ -1,4 +1,4 @@
-//! Allan deviations of a measurement: of the model, and of its records.
+//! Allan deviations of a measurement: computed from the model, and estimated from the records.
 
 use crate::datasheet::noise::measured_unit;
 use crate::datasheet::units::ShownUnit;
@@ -18,12 +18,12 @@ const MOST_SPAN_VALUES: usize = 100_000;
 pub(super) struct CurveRecords {
     /// Records of each test, as (time, value).
     pub(super) own: Vec<Vec<(f64, f64)>>,
-    /// Usual step of the records, if they have one.
+    /// Usual step of the records; `None` where the records have no regular step.
     pub(super) step: Option<f64>,
 }
 
 impl CurveRecords {
-    /// Values of a measurement of a phase, less the part of its equation that has no state.
+    /// The records of a measurement of a phase: measured values minus the part of the equation that has no state.
     pub(super) fn of(
         (model, at): (&PhasedModel, usize),
         m: usize,
@@ -54,7 +54,7 @@ fn record(model: &Model, m: usize, alpha: &Alpha, rows: &Test) -> Vec<(f64, f64)
     (0..rows.rows()).filter_map(value).collect()
 }
 
-/// Why there is no curve, where no step is known.
+/// The reason why there is no curve, where no step is known.
 fn why_no_step(records: Option<&CurveRecords>) -> &'static str {
     match records {
         None => "there is no curve without a step: give data or `--step`",
@@ -75,7 +75,7 @@ pub(super) struct CurveRequest<'a> {
 }
 
 impl CurveRequest<'_> {
-    /// The curve of a measurement of a phase whose values are `step` apart.
+    /// The curve of measurement `m` of a phase; `step`: time between successive values.
     pub(super) fn curve(
         &self,
         phase: usize,
@@ -135,7 +135,8 @@ impl CurveRequest<'_> {
         curve
     }
 
-    /// Constant matrices of a phase, with zero for the columns that only change what is measured.
+    /// Constant matrices of a phase. Columns that are only inputs are set to zero, and the names of these columns are
+    /// added to `zero`.
     fn filter(&self, phase: usize, step: Option<f64>, zero: &mut Vec<String>) -> Result<Exported, ExportError> {
         let own = &self.model.phases[phase];
         let timed = own.model.clock.time.is_some();
@@ -152,8 +153,8 @@ impl CurveRequest<'_> {
     }
 }
 
-/// Numeric columns in equations of measurements, in derivatives without a state and in means, except those that motion,
-/// noise or `where` depend on as well.
+/// Names of the numeric columns in equations of measurements, in derivatives without a state and in means, except
+/// columns that motion, noise or `where` also depend on.
 fn inputs(model: &Model) -> Vec<String> {
     let is_free = |site: &Site| {
         matches!(

@@ -1,4 +1,4 @@
-//! A number computed from expressions of the model, with the interval of the parameter it depends on.
+//! A number computed from expressions of the model, with the interval of the parameter that the number depends on.
 
 use kalfit_apply::export::ExportError;
 use kalfit_apply::export::bind::Binder;
@@ -18,17 +18,17 @@ pub(super) struct Reader<'a> {
     pub(super) known: &'a [ParameterRecord],
 }
 
-/// A number of the datasheet, with its interval and what it depends on.
+/// A number of the datasheet, with the interval of the number and the parameters that the number depends on.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct ShownFigure {
-    /// `None` where it differs from row to row.
+    /// The value; `None` where the value differs from row to row.
     pub(super) value: Option<f64>,
     pub(super) interval: Interval,
-    /// Parameters that it depends on.
+    /// Names of the parameters that the value depends on.
     pub(super) from: Vec<String>,
-    /// Columns, or `step`, that it differs with.
+    /// Names of the columns, or `step`, with which the value differs.
     pub(super) varies_with: Vec<String>,
-    /// (Column, level) that the number is for, where it differs with the levels of one column alone.
+    /// (column, level) of the value, where the value differs with the levels of one column only.
     pub(super) at: Option<(String, String)>,
 }
 
@@ -107,12 +107,13 @@ impl Reader<'_> {
         Ok(ShownFigure { value: Some(value), interval, from, varies_with, at: None })
     }
 
-    /// Value of an expression, if it is a number once known values are inserted.
+    /// Value of an expression; `None` where the expression is not a number after known values are inserted.
     pub(super) fn number(&self, of: &Expression, step: Option<f64>) -> Result<Option<f64>, ExportError> {
         Ok(Binder::new((self.model, self.alpha), step, self.at)?.bind(of).as_number())
     }
 
-    /// Columns that expressions still read, each once; `step` where the step is not known.
+    /// Names of the columns that expressions read after known values are inserted, without duplicates; `step` where the
+    /// step is not known.
     fn varies_with(&self, of: &[&Expression], step: Option<f64>) -> Vec<String> {
         let mut all: Vec<String> = Vec::new();
         let Ok(binder) = Binder::new((self.model, self.alpha), step, self.at) else { return all };
@@ -149,7 +150,7 @@ impl Reader<'_> {
         Ok(values.map(|values| form(&values)).filter(|value| value.is_finite()))
     }
 
-    /// Parameters that occur in expressions, each once.
+    /// Indices of the parameters that occur in expressions, without duplicates.
     fn parameters(&self, of: &[&Expression]) -> Vec<usize> {
         let mut all = Vec::new();
         for expression in of {
@@ -196,7 +197,7 @@ impl Reader<'_> {
         let parameter = &self.model.parameters[index];
         let (value, level) = (self.value(index)?, self.level(index));
         let known = |record: &&ParameterRecord| record.name == parameter.name && record.level.as_deref() == level;
-        // a value that differs from the fit's has no interval
+        // a value that differs from the estimate of the fit has no interval
         let known = self.known.iter().find(known).filter(|record| record.estimate == value);
         let Some(ends) = known.and_then(|record| record.interval95) else { return Ok(None) };
         let mut found = [None; 2];

@@ -1,9 +1,10 @@
-//! The numbers of a datasheet that follow from a fit: noise, random walks, Gauss-Markov pairs, turn-on spread, Allan deviations.
+//! The numbers of a datasheet, computed from a fit: noise, random walks, Gauss-Markov pairs, turn-on spread, Allan
+//! deviations.
 //!
-//! Each is a number of the model in another unit or another form, and its interval is that of the parameter it depends
-//! on, transformed in the same way: an interval of σ gives one of σ√δ. Where it depends on several parameters its
-//! interval is not known. Units with labels that datasheets use are converted to those of datasheets; other labels
-//! stay.
+//! Each number is a number of the model in another unit or another form. The interval is the interval of the parameter
+//! that the number depends on, transformed in the same way: an interval of σ gives an interval of σ√δ. The interval of
+//! a number that depends on several parameters is not known. Unit labels that datasheets use are converted to the units
+//! of datasheets; all other labels are unchanged.
 
 mod curve;
 mod figure;
@@ -22,7 +23,7 @@ use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
 use kalfit_record::{CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
 
-/// What a datasheet is made from.
+/// The inputs of a datasheet.
 #[derive(Debug)]
 pub struct Source<'a> {
     /// Origin of the parameters, as named by the user.

@@ -58,7 +58,7 @@ const TAU: NoiseMeaning = NoiseMeaning {
 };
 
 impl<'a> EntryCollector<'a> {
-    /// The white noise of a measurement, whose values are `step` apart.
+    /// Adds the white noise of a measurement; `step`: time between successive values.
     pub(super) fn measurement(&mut self, m: usize, step: Option<f64>) -> Result<(), ExportError> {
         let model = self.reader.model;
         let measurement = &model.measurements[m];
@@ -254,8 +254,8 @@ fn is_zero(expression: &Expression) -> bool {
     expression.as_number() == Some(0.0)
 }
 
-/// Unit label of a measurement: that of the parameter that is its noise, otherwise that of the first state that is
-/// measured with coefficient ±1.
+/// Unit label of a measurement: the unit of the parameter that is the standard deviation of the noise, otherwise the
+/// unit of the first state that is measured with coefficient ±1.
 pub(super) fn measured_unit(model: &Model, m: usize) -> Option<String> {
     let measurement = &model.measurements[m];
     let noise = match &measurement.noise_variance {

@@ -1,4 +1,4 @@
-//! Variation from turn-on to turn-on and from unit to unit: mean and spread of the initial states.
+//! Variation from turn-on to turn-on and from unit to unit: mean and standard deviation of the initial states.
 
 use crate::datasheet::units::{ShownUnit, UnitQuantity};
 use kalfit_infer::Interval;
@@ -8,7 +8,7 @@ use kalfit_record::{EntryRecord, FitRecord, PhaseRecord};
 /// Name of the level of the tests themselves.
 const TESTS: &str = "tests";
 
-/// Entries of the estimated states of a phase, with intervals from its results where there are any.
+/// Entries of the estimated states of a phase, with intervals from `record` where there is a record.
 pub(super) fn entries(
     model: &PhasedModel,
     at: usize,
@@ -27,7 +27,7 @@ pub(super) fn entries(
         let own = StateEntries { model, phase: at, name: &of.name, unit, word, record, own };
         let covariates = phase.model.mean.regression.iter().any(|regression| regression.element == k);
         entries.push(own.mean(population.mean[i], covariates));
-        // the outermost level comes first, that of the tests last
+        // the outermost level comes first, the level of the tests last
         let deviation = |block: usize| {
             let i = block * model.dimension() + i;
             population.covariance[(i, i)].max(0.0).sqrt()
@@ -68,7 +68,7 @@ impl StateEntries<'_> {
         }
     }
 
-    /// Interval of this state, looked up in those of `states`.
+    /// The interval of this state among `intervals`, the intervals of `states`.
     fn interval(&self, states: &[String], intervals: &[Interval]) -> Interval {
         let place = states.iter().position(|state| state == self.name)?;
         intervals.get(place).copied().flatten()
@@ -87,7 +87,7 @@ impl StateEntries<'_> {
         }
     }
 
-    /// Spread in one of the `blocks` blocks of Σ; `None` where the state does not vary there.
+    /// Entry of the standard deviation in one of the `blocks` blocks of Σ; `None` where the state does not vary there.
     fn spread(&self, value: f64, (block, blocks): (usize, usize)) -> Option<EntryRecord> {
         let level = match (blocks, block) {
             (1, _) => None,
@@ -119,7 +119,7 @@ impl StateEntries<'_> {
     }
 }
 
-/// Word for the role of a state in its measurements: it is added as it is, or times columns.
+/// Word for the role of a state in measurements: the state is added unchanged, or multiplied by columns.
 fn word(model: &Model, state: usize, quantity: UnitQuantity) -> String {
     let mut columns: Vec<&str> = Vec::new();
     let mut measured = false;

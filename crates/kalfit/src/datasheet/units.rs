@@ -1,4 +1,4 @@
-//! Conversion of the unit labels that datasheets use. Other labels stay as they are.
+//! Conversion of the unit labels that datasheets use. All other labels are unchanged.
 
 use std::f64::consts::PI;
 

@@ -58,8 +58,8 @@ impl Ensemble {
     /// existing tests, which are used in turn. The same seed draws the same ensemble.
     ///
     /// # Errors
-    /// The population does not fit the model; there are no tests, or two with one id; the filter cannot work with the
-    /// numbers.
+    /// The population does not fit the model; there are no tests, or two tests have one id; the filter cannot work with
+    /// the numbers.
     pub fn draw(
         &self,
         alpha: &Alpha,

@@ -23,7 +23,7 @@ pub enum EnsembleError {
     /// α cannot be estimated.
     #[error(transparent)]
     Dynamic(#[from] Box<DynamicError>),
-    /// The environment variable of the instruction set names one that this machine does not have.
+    /// The environment variable of the instruction set names a set that this machine does not have.
     #[error(transparent)]
     Instructions(#[from] UnknownInstructions),
     /// There are free parameters where α must be known.

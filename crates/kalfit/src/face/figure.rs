@@ -4,14 +4,14 @@ use crate::face::fit::Fit;
 use kalfit_infer::{Interval, Posterior};
 use kalfit_record::{ParameterRecord, PhaseRecord, VectorRecord};
 
-/// An estimated number with its uncertainty.
+/// An estimated number with a standard error and an interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Figure {
     /// The estimate.
     pub estimate: f64,
     /// Standard error of the estimate; `None` where the number is fixed, not identified, or on the boundary.
     pub std_error: Option<f64>,
-    /// 95 % interval of the number; `None` where it is fixed or not identified.
+    /// 95 % interval of the number; `None` where the number is fixed or not identified.
     pub interval95: Interval,
 }
 
@@ -48,8 +48,8 @@ impl Fit {
         Ok(Figure { estimate: estimate[i], std_error: std_error[i], interval95: interval95[i] })
     }
 
-    /// The correlation of two states of one phase; `None` where one of them does not vary, or they are of different
-    /// phases.
+    /// The correlation of two states of one phase; `None` where one of the states does not vary, or where the states
+    /// are of different phases.
     ///
     /// # Errors
     /// There are no such estimated states.

@@ -1,4 +1,4 @@
-//! The results of a fit, and the options of one.
+//! The results of a fit, and the options of a fit.
 
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Estimate, Structure};
@@ -33,7 +33,7 @@ impl Default for Options {
 }
 
 /// A model fitted to tests. [`Fit::mean`], [`Fit::std_dev`] and [`Fit::parameter`] give estimates by name; the fields
-/// give everything.
+/// give all results.
 #[derive(Debug, Clone)]
 pub struct Fit {
     /// The fitted model.
@@ -42,11 +42,11 @@ pub struct Fit {
     pub alpha: Alpha,
     /// The reductions of the tests at α.
     pub reductions: Reductions,
-    /// The estimates of μ and Σ, with their certificate.
+    /// The estimates of μ and Σ, with the optimality certificate.
     pub estimate: Estimate,
     /// Uncertainty of the estimates, and the results of each test.
     pub inference: Inference,
-    /// All results with their names, ready to be written to fit.json.
+    /// All results with names, ready to be written to fit.json.
     pub record: FitRecord,
 }
 

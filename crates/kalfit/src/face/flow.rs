@@ -1,4 +1,4 @@
-//! The whole way from a model and tests to a fit.
+//! The steps from a model and tests to a fit: reductions, estimates, inference and record.
 
 use std::sync::Arc;
 
@@ -18,8 +18,8 @@ use kalfit_model::{Grouping, Labels};
 use kalfit_record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
 use kalfit_search::{DynamicError, DynamicFit};
 
-/// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them.
-/// The result depends neither on the order of the tests nor on the number of threads.
+/// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with the inference about these
+/// estimates. The result depends neither on the order of the tests nor on the number of threads.
 ///
 /// # Errors
 /// The columns do not fit the model, the filter cannot work with the numbers, or there are no tests.
@@ -31,7 +31,7 @@ impl Ensemble {
     /// Fits the model with default options, as [`fit`](crate::fit).
     ///
     /// # Errors
-    /// As the function `fit`.
+    /// The errors of the function `fit`.
     pub fn fit(&self) -> Result<Fit, EnsembleError> {
         self.fit_with(&Options::default(), &mut Silent)
     }
@@ -39,13 +39,14 @@ impl Ensemble {
     /// Fits the model with the given options, and reports progress.
     ///
     /// # Errors
-    /// As [`fit`](crate::fit); also options that cannot be combined.
+    /// The errors of [`fit`](crate::fit); also options that cannot be combined.
     pub fn fit_with(&self, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
         fit_tests(self, options, progress)
     }
 }
 
-/// Reduces, estimates, infers and records; with free parameters, the search for them replaces the first two steps.
+/// Reduces, estimates, infers and records; with free parameters, the search for α replaces the reduction and the
+/// estimation.
 fn fit_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
     Isa::chosen()?;
     let (model, labels, tests) = (ensemble.model(), ensemble.labels(), ensemble.tests());

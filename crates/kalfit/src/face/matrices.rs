@@ -10,7 +10,8 @@ use kalfit_estimate::Silent;
 use kalfit_filter::reduce::{Plain, Reductions};
 use kalfit_model::{Alpha, PhasedModel};
 
-/// Fits μ and Σ to tests given by matrices step by step; [`Model::unknowns`](crate::Model::unknowns) names what is unknown of each.
+/// Fits μ and Σ to tests given by matrices step by step; [`Model::unknowns`](crate::Model::unknowns) names the unknowns
+/// of each test.
 ///
 /// ```
 /// use kalfit::reduce::{Plain, StepMatrices};

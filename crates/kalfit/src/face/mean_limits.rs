@@ -20,8 +20,8 @@ pub struct MeanProfiles {
     pub log_likelihood: f64,
     /// Whether the optimality certificate holds at the maximum; without it there are no limits.
     pub converged: bool,
-    /// Limits of each mean; both are the estimate where no estimated number moves the mean, `None` where one is not
-    /// found.
+    /// [lower, upper] limit of each mean; both limits equal the estimate where no estimated number moves the mean;
+    /// `None` where a limit is not found.
     pub limits: Vec<Option<[f64; 2]>>,
 }
 
@@ -31,7 +31,7 @@ impl Ensemble {
     /// values.
     ///
     /// # Errors
-    /// As for a fit.
+    /// The errors of [`Ensemble::fit`].
     pub fn mean_limits(
         &self,
         means: MeansAt<'_>,

@@ -5,7 +5,7 @@ use kalfit_filter::innovations::innovations;
 use kalfit_model::PhasedTest;
 use kalfit_record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 
-/// Adds innovations to the record, or a note why there are none: the fit itself does not depend on them.
+/// Adds innovations to the record, or a note why innovations were not computed; the fit does not depend on innovations.
 pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
     let model = &fit.model;
     let found = match innovations(model, &fit.alpha, &fit.population(), tests) {

@@ -1,12 +1,13 @@
-//! Why a model cannot be fitted to tests in several places, or why one of them has no answer.
+//! Why a model cannot be fitted to tests in several places, or why one of the places has no answer.
 
 use kalfit_filter::reduce::{GroupingError, ReduceError};
 use kalfit_search::DynamicError;
 
-/// Why a model cannot be fitted to tests in several places, or why one of them has no answer.
+/// Why a model cannot be fitted to tests in several places, or why one of the places has no answer.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ShardError {
-    /// A parameter has a free value for each level; levels are texts of the data, which do not leave their place.
+    /// A parameter has a free value for each level; levels are texts of the data, and texts do not leave the place of
+    /// the tests.
     #[error("`{parameter}` has one free value for each level, which a fit by sums does not support")]
     PerLevel {
         /// Name of the parameter.

@@ -28,10 +28,10 @@ pub struct Asks {
     pub intervals: IntervalKind,
 }
 
-/// What a fit needs next, or its result.
+/// The next questions of a fit, or the result of the fit.
 #[derive(Debug)]
 pub enum Next {
-    /// The fit needs these sums over all places.
+    /// Questions to which the fit needs the answers, summed over all places.
     Asks(Vec<Asked>),
     /// The fit has ended with this record.
     Ends(Box<FitRecord>),
@@ -99,7 +99,7 @@ fn with_known(
 ) -> Result<FitRecord, ShardError> {
     let alpha = slots.alpha(model.shared(), &[]);
     let reductions = Reductions::elsewhere(Remote { values: Vec::new(), answers: answers.clone() });
-    let grouping = grouping(model, &[])?.map(Arc::new); // the tests are elsewhere
+    let grouping = grouping(model, &[])?.map(Arc::new); // the tests are in other places
     let structure = Structure::of(model, &alpha, grouping.as_ref());
     let estimate = estimate::fit(&reductions, &structure, &asks.settings, progress).map_err(failed)?;
     let inference = infer_while(model, (&estimate, &reductions), choices, progress);

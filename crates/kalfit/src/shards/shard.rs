@@ -1,4 +1,4 @@
-//! One place: its tests, and its answers to questions about them.
+//! One place of tests, and the answers of the place to questions about these tests.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -16,11 +16,11 @@ use kalfit_model::{PhasedModel, Slots};
 use kalfit_search::{Around, Scale, Settings, add_exact};
 
 /// The tests of one place; tests of one group of the outermost level must all be in the same place. An answer depends
-/// on the tests and the question only; what is cached merely saves work.
+/// on the tests and the question only; cached results only save work.
 #[derive(Debug)]
 pub struct Shard {
     model: PhasedModel,
-    /// Tests in the order of their ids.
+    /// Tests, sorted by id.
     tests: Vec<PhasedTest>,
     /// Groups of the tests, where the model has levels.
     grouping: Option<Arc<Grouping>>,
@@ -29,7 +29,7 @@ pub struct Shard {
     slots: Slots,
     settings: Settings,
     batching: Batching,
-    /// Set if the only free value scales all noise, so that the filters need to run at few of its values only.
+    /// `Some` if the only free value scales all noise, so that the filters need to run at few values of α only.
     scale: Option<Scale>,
     /// Cached results for the tests at the α requested last.
     cached: Mutex<Option<ShardAtAlpha>>,
@@ -45,7 +45,7 @@ struct ShardAtAlpha {
 }
 
 impl Shard {
-    /// The shard of these tests of a model; `settings`: those of the search for start values.
+    /// The shard of these tests of a model; `settings`: settings of the search for start values.
     ///
     /// # Errors
     /// A model that cannot be fitted by sums; tests that are not given by rows although parameters are free; tests that
@@ -78,12 +78,12 @@ impl Shard {
         self.tests.len()
     }
 
-    /// Sorted names of the groups of the outermost level; each group must be in one place only, with all its tests.
+    /// Sorted names of the groups of the outermost level; all tests of a group must be in one place.
     pub fn groups(&self) -> &[String] {
         &self.groups
     }
 
-    /// The answer to a question; `None` where it is not defined at the free values of the question.
+    /// The answer to a question; `None` where the answer is not defined at the free values of the question.
     ///
     /// # Errors
     /// A question about another model; a test that has no reduction, where no parameter is free.
@@ -127,7 +127,7 @@ impl Shard {
         Ok(ShardAtAlpha { values: values.to_vec(), summed, filtered })
     }
 
-    /// Runs the filters, storing what scores need unless nothing is free or `scale` gives the scores.
+    /// Runs the filters, and stores the batches that scores need, unless no value is free or `scale` gives the scores.
     fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<FilteredPhases>), Box<ReduceError>> {
         if self.slots.is_empty() || self.scale.is_some() {
             return Ok((self.reduce_only(values)?, None));
@@ -137,7 +137,7 @@ impl Shard {
         Ok(self.batching.reduce((&self.model, &self.slots), &mut reducer, &self.tests)?)
     }
 
-    /// Runs the filters for their reductions alone.
+    /// Runs the filters for the reductions only.
     fn reduce_only(&self, values: &[f64]) -> Result<Reductions, Box<ReduceError>> {
         let alpha = self.slots.alpha(self.model.shared(), values);
         PhasedReducer::passing(&self.model, &alpha, &self.slots)?.reduce(&self.tests).map_err(Box::new)
@@ -170,7 +170,7 @@ impl Shard {
     }
 }
 
-/// The sum of the scores over tests (`values` numbers); `None` where it is not finite.
+/// The sum of the scores over tests (`values` numbers); `None` where a component is not finite.
 fn total(scores: &[Gradient], values: usize) -> Answer {
     let mut sum = vec![0.0; values];
     scores.iter().flatten().for_each(|&(slot, bar)| sum[slot] += bar);

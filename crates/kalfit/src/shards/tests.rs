@@ -12,7 +12,7 @@ use kalfit_model::remote::{Answer, Asked, sum};
 use kalfit_model::{Alpha, Column, CovarianceStructure, GroupLevel, PhasedModel, Population};
 use kalfit_record::{FitRecord, Provenance};
 
-/// The fit of tests that are divided among `places` places, and the number of rounds it took.
+/// The fit of tests that are divided among `places` places, and the number of rounds of questions.
 fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize) {
     let tests = ensemble.tests();
     // groups of the outermost level are not split

@@ -14,7 +14,7 @@ use crate::reduce::reducer::Reducer;
 use crate::reduce::terminal::TerminalState;
 use kalfit_model::Test;
 
-/// Memory limit of a batch of several tests, in bytes: longer tests are batches of one.
+/// Memory limit of a batch of several tests, in bytes; beyond the limit, a batch has one test.
 const MAX_BATCH_BYTES: usize = 128 << 20;
 
 /// Number of tests, from the first one on and at least one, that form a batch of at most `lanes` tests.
@@ -23,7 +23,7 @@ pub(super) fn batch_len(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> 
     if batch_bytes(preparer, &own[..many], lanes) > MAX_BATCH_BYTES { 1 } else { many }
 }
 
-/// Lanes for a batch of `tests` tests. Empty lanes take as long as full ones, so a single test has one lane.
+/// Width of a batch of `tests` tests: one lane for a single test, because empty lanes take as long as full lanes.
 pub(super) fn width_for(tests: usize) -> Width {
     if tests == 1 { Isa::best().alone().into() } else { Isa::best().into() }
 }
@@ -37,7 +37,7 @@ pub(super) fn batch_bytes(preparer: &Preparer, own: &[Skeleton], lanes: usize) -
     let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + preparer.plan.flow_len + varying;
     let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
     let (rows, steps) = (most(|own| own.instances.len()), most(Skeleton::len));
-    // numbers of all lanes, then the common shape of their designs
+    // values in all lanes, then the common shape of the designs
     8 * (lanes * (rows * of_row + steps * of_step) + rows * (4 + 2 * terms) + steps * 7)
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct BatchWorkspace {
     design_digests: Vec<DesignDigest>,
 }
 
-/// (Index, number) pairs to be added to a and to P0 of a test.
+/// Terms to be added to a and to P0 of a test: (index in a, term), and (index in P0, r × r by rows, term).
 #[derive(Debug, Default)]
 pub(crate) struct EnteringMoments {
     pub(crate) mean: Vec<(usize, f64)>,
@@ -66,7 +66,7 @@ pub(crate) struct FilteredLane<'a> {
     workspace: &'a BatchWorkspace,
     lane: usize,
     scratch: &'a DataWorkspace,
-    /// The last state, if it is wanted.
+    /// The last state of the test; `None` if no last states are wanted.
     pub(crate) end: Option<TerminalState>,
 }
 
@@ -97,7 +97,8 @@ impl BatchWorkspace {
         }
     }
 
-    /// Evaluates tests and runs their filters. The reduction of a test does not depend on the other tests.
+    /// Evaluates tests, runs the filters and adds the results to `found`. The reduction of a test does not depend on the
+    /// other tests.
     pub(crate) fn reduce(
         &mut self,
         reducer: &Reducer,
@@ -117,8 +118,8 @@ impl BatchWorkspace {
         });
     }
 
-    /// Evaluates and filters tests with `entering[number]` added to a and P0 of each. `visit` receives each test with
-    /// its results, or `None` if the test must be filtered by itself.
+    /// Evaluates and filters tests, with `entering[k]` added to a and P0 of test k. `visit` receives each test with the
+    /// results of the filter, or with `None` if the test must be filtered alone.
     pub(crate) fn pass(
         &mut self,
         reducer: &Reducer,
@@ -145,7 +146,7 @@ impl BatchWorkspace {
         });
     }
 
-    /// Takes and evaluates a group of tests in place of the previous one.
+    /// Evaluates a group of tests in place of the previous group.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &[Skeleton]) {
         if (self.layout.lanes == 1) != (group.len() == 1) {
             std::mem::swap(&mut self.layout, &mut self.other_width.0);
@@ -155,13 +156,13 @@ impl BatchWorkspace {
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         for (lane, skeleton) in group.iter().enumerate() {
-            // a test of mostly equal steps is scanned by itself
+            // a test of mostly equal steps is filtered alone, with scans
             values.valid[lane] &=
                 skeleton.len() <= MAX_UNSCANNED_STEPS || !values.is_long(layout, lane, skeleton.len());
         }
     }
 
-    /// Takes the headers of the reductions of a group of tests: covariates, counts and digests of designs.
+    /// Stores the header of each test of a group: covariates, counts and the digest of the design.
     fn take_headers(&mut self, group: &mut [Skeleton]) {
         let BatchWorkspace { layout, values, own, design_digests, .. } = self;
         own.clear();

@@ -1,4 +1,4 @@
-//! Digests of the designs of tests in lanes, identical to those of single tests.
+//! Digests of the designs of tests in lanes, equal to `Design::digest` of each design.
 
 use std::ops::Range;
 
@@ -54,8 +54,8 @@ impl BatchValues {
         design_digests.iter_mut().map(DesignDigest::finish).collect()
     }
 
-    /// True if most of the `steps` steps of the test in a lane are in long stretches of equal steps, which are scanned
-    /// instead.
+    /// True if most of the `steps` steps of the test in a lane are in long stretches of equal steps; such a test is
+    /// scanned instead of filtered in a lane.
     pub(super) fn is_long(&self, layout: &BatchLayout, lane: usize, steps: usize) -> bool {
         let (BatchLayout { lanes, design, transitions, .. }, designs) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
@@ -84,7 +84,7 @@ impl BatchValues {
     }
 }
 
-/// The numbers in a range, of the test in a lane.
+/// Entries k in `numbers` of a list in lanes, for the test in a lane: entry k is at k × lanes + lane.
 fn own(all: &[f64], numbers: Range<usize>, (lane, lanes): (usize, usize)) -> impl Iterator<Item = f64> + use<'_> {
     numbers.map(move |k| all[k * lanes + lane])
 }

@@ -1,4 +1,4 @@
-//! The layout of tests in lanes: their common steps and measurements, which do not depend on α.
+//! The layout of tests in lanes: the common steps and measurements of the tests, which do not depend on α.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,26 +11,27 @@ use crate::reduce::motion::Transitions;
 use crate::reduce::prepare::{Preparer, Skeleton, StartCells};
 use kalfit_model::Test;
 
-/// Marks a missing row.
+/// In place of a row index: the test lacks the measurement or the step.
 pub(super) const NO_ROW: u32 = u32::MAX;
 
-/// Tests in lanes, at least one and at most as many as lanes. Number k of the test in a lane is at k × lanes + lane.
+/// Tests in lanes, one to `lanes` tests. In `measured`, `sources`, `dt` and `z`, entry k of the test in a lane is at
+/// k × lanes + lane; k is a row of `design`.
 #[derive(Debug)]
 pub(crate) struct BatchLayout {
     pub(crate) lanes: usize,
-    /// Number of the test in each lane, among all tests.
+    /// For each lane, the index of the test among all tests.
     pub(crate) tests: Vec<usize>,
-    /// The common shape of their designs: each step is a run, and each row has a separate line.
+    /// The common shape of the designs: each step is a run, and each row has a separate line.
     pub(crate) design: Design,
     /// True if all tests have the same steps and measurements.
     has_one_shape: bool,
-    /// For each measurement of the model, the states of its line, and the positions of its terms among these states.
+    /// For each measurement of the model: (states of the line, position of each term of the measurement in the line).
     pub(super) shapes: Vec<(Vec<u32>, Vec<usize>)>,
-    /// For each row, the number of its measurement in the model.
+    /// For each row, the index of the measurement in the model.
     pub(crate) meters: Vec<usize>,
     /// 1 where a test has the measurement of a row, else 0.
     pub(crate) measured: Vec<f64>,
-    /// Row of the test from which each measurement is read; `NO_ROW` where there is none.
+    /// Row of the test from which each measurement is read; `NO_ROW` where the test lacks the measurement.
     pub(super) sources: Vec<u32>,
     /// Length of the step of each measurement.
     pub(super) dt: Vec<f64>,
@@ -42,7 +43,7 @@ pub(crate) struct BatchLayout {
 }
 
 impl BatchLayout {
-    /// Layout without tests yet.
+    /// A layout without tests.
     pub(super) fn new(width: Width, preparer: &Preparer) -> BatchLayout {
         BatchLayout {
             lanes: width.lanes(),
@@ -60,7 +61,7 @@ impl BatchLayout {
         }
     }
 
-    /// Lays out these tests in place of the previous ones.
+    /// Lays out `tests` in place of the previous tests.
     pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
         let is_one = own.iter().all(|other| other.has_steps_of(&own[0]));
         if !(is_one && self.has_shape_of(&own[0])) {
@@ -101,7 +102,7 @@ impl BatchLayout {
             && self.meters.iter().eq(own.instances.iter().map(|instance| &instance.meter))
     }
 
-    /// Builds the common shape of these tests: their steps and the measurements of each step.
+    /// Builds the common shape of these tests: the steps and the measurements of each step.
     fn shape(&mut self, preparer: &Preparer, own: &[Skeleton]) {
         self.meters.clear();
         self.design.clear();
@@ -116,8 +117,8 @@ impl BatchLayout {
         self.design.noise.resize(self.meters.len(), 1.0);
     }
 
-    /// Appends the lines of step `k`: all that any of the tests measures there, in an order that agrees with that of
-    /// each test.
+    /// Appends the lines of step `k`: one for each measurement that any of the tests has in the step, in an order that
+    /// agrees with the order in each test.
     fn measurements(&mut self, own: &[Skeleton], k: usize) {
         let first = self.meters.len();
         let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
@@ -165,7 +166,8 @@ impl BatchLayout {
         first..self.design.ends[row]
     }
 
-    /// (Scalar measurements of these lines, at least one, of one step; length of the step).
+    /// (scalar measurements on the lines `rows` of the test in a lane, length of the step). The lines, at least one, are
+    /// lines of one step.
     pub(crate) fn instances_of(&self, lane: usize, rows: &[usize]) -> (Vec<Instance>, f64) {
         let place = |row: usize| row * self.lanes + lane;
         let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.sources[place(row)] as usize };

@@ -1,4 +1,4 @@
-//! Reductions from the results of the filters of tests in lanes.
+//! Reductions of tests in lanes, from the results of the filters.
 
 use std::sync::Arc;
 
@@ -12,7 +12,8 @@ use crate::reduce::terminal::TerminalState;
 use kalfit_model::Path;
 use kalfit_model::Test;
 
-/// The parts of a reduction that its filter does not compute; `digest`: of its design at the α of the first evaluation.
+/// The parts of a reduction that the filter does not compute. `digest`: digest of the design at the α of the first
+/// evaluation.
 #[derive(Debug)]
 pub(super) struct TestHeader {
     pub(super) digest: u128,
@@ -22,8 +23,8 @@ pub(super) struct TestHeader {
 }
 
 impl BatchValues {
-    /// Runs the filters of evaluated tests and adds their reductions to `found`. `digest`: digest of a test's design at
-    /// this α.
+    /// Runs the filters of evaluated tests and adds the reductions to `found`. `digest`: gives the digest of the design
+    /// of a test at this α.
     pub(super) fn reduce(
         &mut self,
         (layout, own): (&BatchLayout, &[TestHeader]),
@@ -55,8 +56,8 @@ impl BatchValues {
         }
     }
 
-    /// (R, outcome, last state if it is wanted) of the test in a lane; `None` if square-root arrays are called for or a
-    /// number is not finite.
+    /// (R, outcome, last state if last states are wanted) of the test in a lane; `None` if the test needs square-root
+    /// arrays or a number is not finite.
     pub(super) fn lane_result(
         &self,
         lane: usize,
@@ -73,7 +74,7 @@ impl BatchValues {
         outcome.is_finite().then_some((factor, outcome, end))
     }
 
-    /// The last state of the test in a lane; `None` if that calls for square-root arrays.
+    /// The last state of the test in a lane; `None` if the last state needs square-root arrays.
     fn end(
         &self,
         lane: usize,

@@ -1,4 +1,5 @@
-//! The numbers of tests in lanes at an α. Numbers that do not depend on α are evaluated once.
+//! The values of tests in lanes at an α: h, R, z - d, φ, Q, b, a and P0. Values that do not depend on α are evaluated
+//! once.
 
 use std::ops::Range;
 
@@ -13,12 +14,12 @@ use crate::reduce::subject::{Coefficient, Fault, ModelAt};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
-/// The numbers of a batch of tests at an α, and the results of their filters.
+/// The values of a batch of tests at an α, and the results of the filters.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchValues {
     pub(crate) batch_filter: BatchFilter,
     pub(crate) motion: MotionColumns,
-    /// True for each lane whose test has valid numbers; the other tests are reduced by themselves.
+    /// True for each lane whose values are valid; a test in another lane is reduced alone.
     pub(super) valid: [bool; MOST],
 }
 
@@ -43,7 +44,8 @@ impl<'a> Refresh<'a> {
         }
     }
 
-    /// Updates the values in the lanes where `present` is not zero. `value`: evaluates a coefficient in a lane.
+    /// Updates the values in the lanes where `present` is not zero. `value` evaluates a coefficient in a lane, `put`
+    /// stores the result.
     fn each(
         &self,
         present: &[f64],
@@ -77,7 +79,7 @@ impl BatchValues {
         BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), valid: [true; MOST] }
     }
 
-    /// Takes new tests in place of the previous ones and evaluates all their numbers.
+    /// Takes new tests in place of the previous tests and evaluates all values.
     pub(super) fn take(&mut self, layout: &BatchLayout, of: (&Preparer, &[&Test])) {
         let dynamics = &of.0.dynamics;
         let varying = [&dynamics.table, &dynamics.inputs].map(|table| table.varying.len());
@@ -86,7 +88,7 @@ impl BatchValues {
         self.evaluate(layout, of, true);
     }
 
-    /// Evaluates the numbers at the α of a preparer; `fresh`: also those that do not depend on α.
+    /// Evaluates the values at the α of `preparer`; if `fresh`, also the values that do not depend on α.
     pub(super) fn evaluate(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         self.valid = [true; MOST];
         self.start(layout, (preparer, tests));
@@ -100,7 +102,7 @@ impl BatchValues {
         self.valid.iter_mut().zip(finite).for_each(|(valid, finite)| *valid &= finite);
     }
 
-    /// Evaluates a and P0.
+    /// Evaluates a and P0 of each test.
     fn start(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
         let BatchValues { batch_filter, valid, .. } = self;
@@ -131,7 +133,7 @@ impl BatchValues {
         }
     }
 
-    /// Evaluates h, R and z - d.
+    /// Evaluates h, R and z - d of each row of each test.
     fn measure(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         let (at, lanes) = (preparer.at(), layout.lanes);
         let mixed = !preparer.meters.can_repeat();

@@ -8,7 +8,7 @@ use crate::reduce::prepare::Preparer;
 use kalfit_model::Test;
 
 impl BatchValues {
-    /// Makes measurements whose noises are correlated independent, step by step.
+    /// Whitens, step by step, the measurements whose noises are correlated.
     pub(super) fn whiten(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         for (lane, &number) in layout.tests.iter().enumerate() {
             for stretch in layout.design.stretches() {
@@ -48,7 +48,7 @@ impl BatchValues {
         Some(())
     }
 
-    /// (M of these lines of the test in a lane, row-major with n columns; z - d of each line).
+    /// (M, z - d) of the lines `rows` of the test in a lane; M is lines × n, row-major.
     pub(crate) fn measured_in(&self, layout: &BatchLayout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
         let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
         let (mut dense, coefficients) = (vec![0.0; rows.len() * n], &self.batch_filter.design_batch.h);

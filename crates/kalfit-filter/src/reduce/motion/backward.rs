@@ -7,12 +7,12 @@ use crate::reduce::subject::{Fault, Subject};
 use kalfit_algebra::exponential::{flow_adjoint, scalar_adjoint};
 
 impl MotionPlan {
-    /// Numbers of entries of φ and of Q.
+    /// (number of entries of φ, number of entries of Q).
     pub(crate) fn entries(&self) -> (usize, usize) {
         (self.phi.len(), self.q.len())
     }
 
-    /// Whether φ has entries of ΓG.
+    /// Whether an entry of φ is an entry of ΓG.
     pub(crate) fn holds(&self) -> bool {
         self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(_)))
     }
@@ -29,7 +29,7 @@ impl MotionPlan {
         dynamics.components.iter().try_for_each(|component| append_flow(component, |slot| values[slot], dt, out))
     }
 
-    /// Adds ∂ℓ/∂Γ of one step to the flows' adjoints: b = Γu.
+    /// Adds ∂ℓ/∂Γ of one step with b = Γu to `flow_bar`, the adjoints of the flows.
     pub(crate) fn drive_flows(&self, input_bar: &[f64], inputs: &[f64], flow_bar: &mut [f64]) {
         for (drive, bar) in self.drives.iter().zip(input_bar) {
             if let InputSource::Flow(terms) = drive {
@@ -56,8 +56,9 @@ impl MotionPlan {
     }
 
     /// Adds ∂ℓ/∂coefficient of one transition to `out`. `phi_bar`, `q_bar`: adjoints of the entries of φ and Q, summed
-    /// over its steps, that of an off-diagonal entry of Q for both its places; `flow_bar`: adjoints of the flows from
-    /// [`MotionPlan::drive_flows`]; `free`: whether each coefficient depends on free parameters.
+    /// over the steps of the transition; the adjoint of an off-diagonal entry of Q counts both triangles; `flow_bar`:
+    /// adjoints of the flows from [`MotionPlan::drive_flows`]; `free`: whether each coefficient depends on free
+    /// parameters.
     pub(crate) fn backward(
         &self,
         dynamics: &Dynamics,

@@ -26,11 +26,12 @@ pub(crate) struct MotionColumns {
     /// Values of each coefficient that varies, in the order of [`Table::varying`].
     pub(crate) values: Vec<Vec<f64>>,
     pub(crate) inputs: Vec<Vec<f64>>,
-    /// φ, Γ, Q of each component.
+    /// Flows φ, Γ, Q of the components: entry i on the transition at `place` is at i × (number of places) + place.
     pub(super) flows: Vec<f64>,
 }
 
-/// A table of coefficients on transitions: each has one value on all transitions, or a column of values.
+/// Coefficients on transitions: each coefficient has one value on all transitions, or a column with one value per
+/// transition.
 pub(super) struct SlotValues<'a> {
     pub(super) fixed: &'a [f64],
     /// Column of each slot; `None` for a slot with one value on all transitions. Empty when no slot has a column.
@@ -47,7 +48,7 @@ impl Transitions {
 }
 
 impl MotionColumns {
-    /// Sets all columns to zeros, `varying` columns of coefficients and of inputs with `places` numbers each.
+    /// Sets all columns to `places` zeros. `varying`: number of columns of coefficients, and of inputs.
     pub(crate) fn blank(&mut self, varying: [usize; 2], places: usize) {
         for (columns, varying) in [&mut self.values, &mut self.inputs].into_iter().zip(varying) {
             columns.resize_with(varying, Vec::new);
@@ -99,7 +100,7 @@ impl<'a> SlotValues<'a> {
     }
 }
 
-/// One transition: its flows, and its entries of φ and of Q.
+/// Flows, φ and Q of one transition.
 #[derive(Debug, Clone, Default)]
 pub struct Filled {
     step: Transitions,
@@ -109,8 +110,8 @@ pub struct Filled {
 }
 
 impl MotionPlan {
-    /// Computes φ, Q and b of transitions. Returns in which lanes all of them are finite: in none where the noises do
-    /// not form a covariance.
+    /// Computes φ, Q and b of transitions. Returns for each lane whether flows, φ and Q are finite; false in all lanes
+    /// where the noises do not form a covariance.
     pub(crate) fn fill(
         &self,
         width: Width,
@@ -209,7 +210,7 @@ struct TransitionKernel<'a> {
 }
 
 impl Kernel for TransitionKernel<'_> {
-    /// In which lanes all numbers are finite.
+    /// For each lane, whether flows, φ and Q are finite.
     type Output = [bool; MOST];
 
     #[inline(always)]
@@ -256,7 +257,7 @@ impl TransitionKernel<'_> {
         }
     }
 
-    /// An entry of φ or Q; `rest` is its value where a test has no transition.
+    /// An entry of φ or Q; `rest`: value of the entry where a test has no transition.
     #[inline(always)]
     fn entry<T: Lanes>(&self, entry: &EntrySource, rest: f64, place: usize) -> T {
         match entry {

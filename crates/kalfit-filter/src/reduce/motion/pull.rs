@@ -1,4 +1,4 @@
-//! The transitions of tests in lanes: from their adjoints back to the coefficients of the motion.
+//! From adjoints of the transitions of tests in lanes back to adjoints of the coefficients of the motion.
 
 use kalfit_lanes::{Lanes, MOST};
 
@@ -9,7 +9,7 @@ use crate::reduce::motion::{EntrySource, InputSource, MotionPlan, Single};
 use kalfit_algebra::exponential::{scalar_flow, scalar_slope};
 
 impl Component {
-    /// Slots of its rates and noises.
+    /// Slots of the component's rates and noises.
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> {
         self.rates.iter().chain(&self.noise).map(|&(.., slot)| slot)
     }
@@ -23,7 +23,7 @@ impl MotionPlan {
             || self.drives.iter().any(|drive| matches!(drive, InputSource::Flow(terms) if gamma(terms)))
     }
 
-    /// The pullback of these transitions. `free`: whether each coefficient depends on free parameters.
+    /// The pullback of the transitions `steps`. `free`: whether each coefficient depends on free parameters.
     pub(crate) fn back<'a>(
         &'a self,
         dynamics: &'a Dynamics,
@@ -56,25 +56,25 @@ impl MotionPlan {
     }
 }
 
-/// A component of several states.
+/// Pullback to the coefficients of a component of several states.
 struct CoupledPullback<'a> {
     component: &'a Component,
     offset: usize,
     is_free: bool,
-    /// Whether its coefficients are the same on all transitions.
+    /// Whether each coefficient of the component has one value on all transitions.
     steady: bool,
 }
 
-/// A component of one state.
+/// Pullback to the coefficients of a component of one state.
 struct SinglePullback<'a> {
     single: &'a Single,
-    /// Whether its rate depends on free parameters.
+    /// Whether the rate of the component depends on free parameters.
     is_free: bool,
-    /// Whether φ or b depends on its Γ.
+    /// Whether φ or b depends on Γ of the component.
     holds: bool,
 }
 
-/// Pullback from the adjoints of transitions to those of the coefficients of the motion.
+/// Pullback from adjoints of transitions to adjoints of the coefficients of the motion.
 pub struct MotionPullback<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
@@ -108,8 +108,8 @@ impl MotionPullback<'_> {
         MotionBars { flows, pending, last, values: vec![zero; values], inputs: vec![zero; inputs] }
     }
 
-    /// Adds ∂ℓ/∂coefficient of transition `number`. `bars`: adjoints, in lanes, of its entries of φ, of Q (an
-    /// off-diagonal entry for both its places) and of b.
+    /// Adds ∂ℓ/∂coefficient of transition `number` to `out`. `bars`: adjoints, in lanes, of the entries of φ, Q and b;
+    /// the adjoint of an off-diagonal entry of Q counts both triangles.
     #[inline(always)]
     pub(crate) fn pull<T: Lanes>(&self, number: usize, bars: &[f64], out: &mut MotionBars<T>) {
         let (places, place) = (self.steps.dt.len(), number * T::COUNT);
@@ -151,7 +151,7 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Adds the sums that are still pending for transitions of one length.
+    /// Pulls the pending flow adjoints of all lanes back to the coefficients.
     #[inline(always)]
     pub(crate) fn finish<T: Lanes>(&self, out: &mut MotionBars<T>) {
         for lane in 0..T::COUNT {
@@ -159,8 +159,8 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Adds the transition at `place` of a lane, for coupled states: successive transitions of one length are summed
-    /// first.
+    /// Adds the flow adjoints of coupled states on the transition at `place` of a lane: adjoints of successive
+    /// transitions of one length are summed first.
     fn coupled<T: Lanes>(&self, lane: usize, place: usize, out: &mut MotionBars<T>) {
         let same = |before: usize| self.steps.dt[before].to_bits() == self.steps.dt[place].to_bits();
         if !out.last[lane].is_some_and(same) {
@@ -180,7 +180,7 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Adds the pending sum over transitions of one length in a lane.
+    /// Pulls the flow adjoints pending in a lane back to the coefficients, and clears the pending adjoints.
     fn flush<T: Lanes>(&self, lane: usize, out: &mut MotionBars<T>) {
         let Some(place) = out.last[lane].take() else { return };
         for CoupledPullback { component, offset, .. } in
@@ -193,8 +193,8 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Pulls adjoints of φ, Γ and Q of coupled states back to their rates and noises. Derivatives that do not exist
-    /// become NaN.
+    /// Pulls adjoints of φ, Γ and Q of coupled states back to the rates and noises of the component. Derivatives that
+    /// do not exist become NaN.
     fn component<T: Lanes>(
         &self,
         component: &Component,
@@ -213,7 +213,7 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Pulls adjoints of φ, Γ and Q of a single state back to its rate and its noise.
+    /// Pulls adjoints of φ, Γ and Q of a single state back to the rate and the noise of the state.
     #[inline(always)]
     fn single<T: Lanes>(&self, back: &SinglePullback<'_>, place: usize, out: &mut MotionBars<T>) {
         let &SinglePullback { single: &Single { offset, rate, noise }, is_free, holds } = back;
@@ -239,7 +239,7 @@ impl MotionPullback<'_> {
     }
 }
 
-/// The numbers with `more` added in one lane.
+/// `numbers` with `more` added in one lane.
 fn add_to_lane<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
     let mut all = [0.0; MOST];
     numbers.store(&mut all);

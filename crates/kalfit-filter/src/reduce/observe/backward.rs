@@ -1,4 +1,4 @@
-//! From ∂ℓ/∂(whitened measurement) back to ∂ℓ/∂(measurement as the model has it).
+//! From ∂ℓ/∂(whitened measurement) back to ∂ℓ/∂(measurement before whitening).
 
 use crate::reduce::instances::Instance;
 use crate::reduce::observe::{Correlation, Meters, Whitening};

@@ -4,7 +4,7 @@ use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 
-/// L and D of a step's m measurements.
+/// L and D of R = LDL', the m × m noise covariance of a step.
 #[derive(Debug)]
 pub(crate) struct Whitening {
     factor: Vec<f64>,
@@ -25,7 +25,7 @@ impl Whitening {
         Ok(Whitening { factor, m })
     }
 
-    /// D of a measurement: its noise variance after whitening.
+    /// D_ii: noise variance of measurement i after whitening.
     pub(crate) fn noise(&self, i: usize) -> f64 {
         self.factor[i * self.m + i]
     }

@@ -20,33 +20,33 @@ use kalfit_model::{PhaseReduction, PhasedTest};
 #[derive(Debug)]
 pub struct PhasedBatches {
     phases: Vec<PhaseMembers>,
-    /// Whether any phase of each test is in a batch.
+    /// For each test, whether any phase is in a batch.
     pub(crate) has: Vec<bool>,
 }
 
 /// The tests that have rows in a phase.
 #[derive(Debug)]
 struct PhaseMembers {
-    /// Numbers of the tests, ascending.
+    /// Indices of the tests, ascending.
     numbers: Arc<Vec<usize>>,
     batches: Arc<EnsembleBatches>,
 }
 
-/// Tests in phases at one α, after their filters have run.
+/// Tests in phases at one α, after the filters of the phases have run.
 #[derive(Debug)]
 pub struct FilteredPhases {
     phases: Vec<(Arc<Vec<usize>>, FilteredBatches)>,
-    /// Reductions of the phases of each test that is in a batch; empty where the model has one phase.
+    /// Reductions of the phases of each test, `None` for a test in no batch; empty where the model has one phase.
     pieces: Vec<Option<Vec<PhaseReduction>>>,
 }
 
 impl FilteredPhases {
-    /// The separate phases of a test that is in a batch.
+    /// Reductions of the separate phases of test `number`; `None` for a test in no batch.
     pub(crate) fn pieces(&self, number: usize) -> Option<&[PhaseReduction]> {
         self.pieces.get(number)?.as_deref()
     }
 
-    /// The numbers of the tests that have rows in a phase, and the batches of these tests as a parallel iterator.
+    /// Indices of the tests that have rows in phase `at`, and the batches of these tests as a parallel iterator.
     pub(crate) fn phase(&self, at: usize) -> (&[usize], impl IndexedParallelIterator<Item = FilteredBatch<'_>>) {
         let (numbers, filtered) = &self.phases[at];
         (numbers, filtered.batches())
@@ -54,8 +54,8 @@ impl FilteredPhases {
 }
 
 impl PhasedReducer {
-    /// Forms the batches of the phases of tests. Tests numbered in `alone` that share their design with no other test
-    /// are kept in lanes; `shared`: numbers of a few tests of each design that several tests share.
+    /// Forms the batches of the phases of tests. `alone`: indices of tests that remain in lanes where no other test has
+    /// the same design; `shared`: indices of a few tests of each design that several tests share.
     pub(crate) fn batches(
         &self,
         tests: &[PhasedTest],
@@ -77,7 +77,7 @@ impl PhasedReducer {
         PhasedBatches { phases, has }
     }
 
-    /// Reduces tests as [`PhasedReducer::reduce`] does, with their phases in given batches.
+    /// Reduces tests as [`PhasedReducer::reduce`] does, with the phases of the tests in given batches.
     pub(crate) fn reduce_batches(
         &self,
         tests: &[PhasedTest],
@@ -120,7 +120,7 @@ impl PhasedReducer {
     }
 }
 
-/// Owned copies of the separate phases of a test.
+/// Owned copies of the reductions of a test's phases.
 fn pieces(parts: Option<&[ReducedPhase<'_>]>) -> Option<Vec<PhaseReduction>> {
     Some(parts?.iter().map(|part| part.clone().into_piece()).collect())
 }

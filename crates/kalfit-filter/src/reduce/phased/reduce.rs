@@ -9,15 +9,16 @@ use crate::reduce::reducer::ReducedWithEnd;
 use kalfit_model::Test;
 use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
 
-/// Most tests whose phases are in memory at the same time.
+/// Largest number of tests whose phases are in memory at the same time.
 const MOST_TESTS_AT_ONCE: usize = 1 << 12;
 
 impl PhasedReducer {
-    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, with zero rows and columns for
-    /// phases that a test lacks, and with the [`Chain`](crate::reduce::Chain) where the model has several phases.
+    /// The reductions of `tests`, in the order of `tests`: over (ξ_1, …, ξ_I), P = Σ p_i numbers, with zero rows and
+    /// columns for phases that a test lacks, and with the [`Chain`](crate::reduce::Chain) where the model has several
+    /// phases.
     ///
     /// # Errors
-    /// The error of the first test in error, and of its first phase in error.
+    /// The error of the first phase in error of the first test in error.
     pub fn reduce(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
@@ -29,8 +30,8 @@ impl PhasedReducer {
         Ok(Reductions::joined(tests.chunks(MOST_TESTS_AT_ONCE).map(some).collect::<Result<_, _>>()?))
     }
 
-    /// Reduces single phases of tests, given as (id of the test, phase, evidence), whether or not the phases before
-    /// them are known.
+    /// Reduces single phases of tests, given as (id of the test, phase, evidence), even where the phases before such a
+    /// phase are unknown.
     ///
     /// # Errors
     /// The error of the first phase in error.

@@ -10,7 +10,7 @@ use kalfit_model::Test;
 /// The tests that have rows in a phase for the optimal filter.
 #[derive(Debug)]
 pub struct PhaseReplicates {
-    /// Numbers of the tests, ascending.
+    /// Indices of the tests, ascending.
     pub(super) numbers: Vec<usize>,
     /// Sets of replicates, by index into `numbers`.
     pub(super) replicates: Replicates,
@@ -25,7 +25,7 @@ enum PhaseStanding {
 }
 
 impl PhasedReducer {
-    /// The replicates among tests in each phase; they do not depend on α.
+    /// The replicates among tests in each phase, which do not depend on α.
     pub(crate) fn replicates(&self, tests: &[PhasedTest]) -> Vec<PhaseReplicates> {
         let phase = |at: usize| {
             let (numbers, rows) = self.members(at, tests);
@@ -34,7 +34,7 @@ impl PhasedReducer {
         (0..self.phases.len()).map(phase).collect()
     }
 
-    /// The numbers of the tests that have rows for the optimal filter in phase `at`, and these rows.
+    /// (indices, rows) of the tests that have rows for the optimal filter in phase `at`.
     pub(super) fn members<'t>(&self, at: usize, tests: &'t [PhasedTest]) -> (Vec<usize>, Vec<&'t Test>) {
         let rows = |(number, test): (usize, &'t PhasedTest)| Some((number, self.rows_of(at, test)?));
         tests.iter().enumerate().filter_map(rows).unzip()

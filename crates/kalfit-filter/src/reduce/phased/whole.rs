@@ -21,7 +21,7 @@ struct Linked<'a> {
     parts: Vec<ReducedPhase<'a>>,
     /// g of the link that leads to each phase; `None` for the first phase.
     means: Vec<Option<DVector<f64>>>,
-    /// Digest of all that the stacked design depends on.
+    /// Digest of the designs of all phases and of T of each link.
     design: u128,
 }
 
@@ -105,7 +105,7 @@ impl PhasedReducer {
         stacked
     }
 
-    /// The reduction of a whole test, from its stacked phases.
+    /// The reduction of a whole test, from the stacked phases of the test.
     fn together(&self, test: &PhasedTest, linked: Linked<'_>, stacked: Stacked) -> Result<Reduction, ReduceError> {
         let Stacked { factor, links, constant, data } = stacked;
         let Linked { parts, means, design } = linked;
@@ -158,7 +158,7 @@ fn link_mean(parts: &[ReducedPhase<'_>], at: usize) -> Option<DVector<f64>> {
     Some(transition * mean + input)
 }
 
-/// Digest of all that the stacked design depends on.
+/// Digest of the designs of all phases and of T of each link.
 fn digest(parts: &[ReducedPhase<'_>]) -> u128 {
     let mut digest = Digest::new();
     for part in parts {

@@ -1,4 +1,4 @@
-//! The cells that determine the design of a test, and the number of its stretches of equal steps.
+//! The cells that determine the design of a test, and the number of stretches of equal steps of a test.
 
 use crate::reduce::cell_mask::CellMask;
 use crate::reduce::dynamics::Dynamics;
@@ -26,8 +26,8 @@ pub(super) fn read_cells(
 }
 
 impl Preparer {
-    /// Number of stretches of equal steps of a test, by its times and the cells of its coefficients, whatever α is;
-    /// `None` where its steps cannot be determined or its states have inputs.
+    /// Number of stretches of equal steps of a test, by times and the cells of coefficients, whatever α is; `None`
+    /// where the steps cannot be determined or states have inputs.
     pub(crate) fn stretches(&self, test: &Test) -> Option<usize> {
         let mut steps = Vec::new();
         spans(&self.at(), test, None, &mut steps).ok()?;

@@ -1,5 +1,4 @@
-//! Parts of a test that are needed separately: its covariates, its start, and the cells and constants d of its
-//! measurements.
+//! Separate parts of a test: covariates, start, and the cells and constants d of measurements.
 
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instance;
@@ -30,8 +29,8 @@ impl Preparer {
     }
 
     /// Writes a, P0 and covariates of a test into the work space as [`Preparer::prepare`] does; the rest of the work
-    /// space is then meaningless. Only the columns constant within the test are known, in one row; the length of the
-    /// first step is unknown.
+    /// space is then meaningless. `constants`: one row with the columns that are constant within the test, the only
+    /// known ones. The length of the first step is unknown.
     pub(crate) fn open(&self, constants: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
         let at = self.at();
         if constants.rows() == 0 {
@@ -56,8 +55,8 @@ impl Preparer {
         Ok(constants)
     }
 
-    /// (cell, d) of each scalar measurement of the test in the work space: the filter takes the number in the cell
-    /// minus d.
+    /// (cell, d) of each scalar measurement of the test in the work space: the measured value in the filter is the
+    /// number in the cell minus d.
     pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
         let width = test.widths().0;
         let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);

@@ -12,9 +12,9 @@ use kalfit_model::{Label, Test};
 /// Work space for the coefficients of one step.
 #[derive(Debug, Clone, Default)]
 pub struct Replay {
-    /// The dynamics' coefficients.
+    /// Coefficients of the dynamics on the step, by slot.
     pub(crate) values: Vec<f64>,
-    /// The dynamics' inputs.
+    /// Inputs of the dynamics on the step, by slot.
     pub(crate) inputs: Vec<f64>,
 }
 
@@ -58,13 +58,13 @@ impl Workspace {
         spans.iter().all(|span| span.dt.to_bits() == spans[0].dt.to_bits())
     }
 
-    /// Range of all rows from which the coefficients of `steps`, at least one, are read. `previous`: they are read from
-    /// the row before.
+    /// Range of all rows from which the coefficients of `steps`, at least one, are read. `previous`: the coefficients
+    /// of a step are read from the row before the step.
     pub(crate) fn rows_of(&self, steps: &Range<usize>, previous: bool) -> Range<usize> {
         self.moment(steps.start, previous).source.start..self.moment(steps.end - 1, previous).rows.end
     }
 
-    /// The span of step `k`, and the number of the step in that span.
+    /// (span of step `k`, index of the step in that span).
     fn place(&self, k: usize) -> (&StepSpan, usize) {
         // while successive steps differ in length, each step is a span
         let own = self.firsts.get(k) == Some(&k);
@@ -97,7 +97,7 @@ impl Preparer {
         self.motion_scope(&self.at(), test, &work.moment(k, self.clock_previous()), cells)
     }
 
-    /// The scope in which the start was evaluated: empty where it is the same for all tests.
+    /// The scope in which the start was evaluated: empty where the start is the same for all tests.
     pub(crate) fn starting<'a>(&'a self, work: &'a Workspace) -> Scope<'a> {
         if self.law.is_some() {
             return Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha };
@@ -105,7 +105,8 @@ impl Preparer {
         Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: work.spans[0].dt, alpha: &self.alpha }
     }
 
-    /// The scope in which the stationary distribution was evaluated: empty where it is the same for all tests.
+    /// The scope in which the stationary distribution was evaluated: empty where the distribution is the same for all
+    /// tests.
     pub(crate) fn settled<'a>(
         &'a self,
         test: &'a Test,
@@ -118,7 +119,7 @@ impl Preparer {
         }
     }
 
-    /// a and P0 of a test, where these differ from test to test.
+    /// a and P0 of a test, evaluated on the cells `opening`.
     pub(crate) fn law_of(
         &self,
         test: &Test,
@@ -131,17 +132,17 @@ impl Preparer {
         self.start.law(&self.at(), &opening.whole(&self.alpha), &out.values, &out.inputs)
     }
 
-    /// The dynamics' coefficients on a step.
+    /// Writes the coefficients of the dynamics on a step to `out`.
     pub(crate) fn values(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         self.dynamics.table.evaluate(&self.at(), scope, &mut out.values)
     }
 
-    /// The dynamics' inputs on a step.
+    /// Writes the inputs of the dynamics on a step to `out`.
     pub(crate) fn inputs(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         self.dynamics.inputs.evaluate(&self.at(), scope, &mut out.inputs)
     }
 
-    /// The coefficients and inputs of the dynamics that the stationary distribution needs.
+    /// Writes the coefficients and inputs of the dynamics that the stationary distribution needs to `out`.
     pub(crate) fn stationary_coefficients(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         let at = self.at();
         self.dynamics.table.evaluate_some(&at, scope, |slot| self.start.needs(slot), &mut out.values)?;

@@ -1,4 +1,4 @@
-//! The part of a test that does not depend on α: its steps, and the cells that each step reads.
+//! The part of a test that does not depend on α: the steps, and the cells that each step reads.
 
 use std::cmp::Ordering;
 
@@ -8,13 +8,13 @@ use crate::reduce::prepare::{Preparer, StartCells, Workspace};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
-/// Most steps and scalar measurements together of a test that has a skeleton.
+/// Largest number of steps plus number of scalar measurements of a test that has a skeleton.
 const MOST_STEPS_AND_ROWS: usize = 1 << 23;
 
-/// The steps of a test, found from its cells alone.
+/// The steps of a test, found from the cells of the test alone.
 #[derive(Debug, Default)]
 pub struct Skeleton {
-    /// Number of the test.
+    /// Index of the test in the ensemble.
     pub(crate) number: usize,
     pub(crate) covariates: Vec<f64>,
     pub(crate) steps: Vec<StepCells>,
@@ -34,9 +34,9 @@ pub struct Skeleton {
 pub(crate) struct StepCells {
     pub(crate) moves: bool,
     pub(crate) dt: f64,
-    /// Row from which its motion is read.
+    /// Row from which the motion of the step is read.
     pub(crate) source: u32,
-    /// End of its scalar measurements in `instances`.
+    /// End of the step's scalar measurements in `instances`.
     pub(crate) end: usize,
 }
 
@@ -58,17 +58,17 @@ impl Skeleton {
         self.steps.get(k).is_some_and(|step| step.moves)
     }
 
-    /// All scalar measurements, with the numbers of their steps.
+    /// (index of the step, measurement) of each scalar measurement.
     pub(crate) fn measured(&self) -> impl Iterator<Item = (usize, Instance)> {
         (0..self.steps.len()).flat_map(|k| self.of(k).iter().map(move |&instance| (k, instance)))
     }
 
-    /// Order in which tests are batched: by descending length, then by the pattern of their measurements.
+    /// Order in which tests are batched: by descending number of steps, then by the pattern of measurements.
     pub(crate) fn by_shape(&self, other: &Skeleton) -> Ordering {
         other.len().cmp(&self.len()).then_with(|| other.pattern.cmp(&self.pattern))
     }
 
-    /// Whether its steps have the same transitions and measurements as those of `other`.
+    /// Whether both tests have the same number of steps, and step by step the same transitions and measurements.
     pub(crate) fn has_steps_of(&self, other: &Skeleton) -> bool {
         let step = |(own, other): (&StepCells, &StepCells)| (own.moves, own.end) == (other.moves, other.end);
         (self.steps.len(), self.instances.len()) == (other.steps.len(), other.instances.len())
@@ -76,9 +76,9 @@ impl Skeleton {
             && self.instances.iter().zip(&other.instances).all(|(own, other)| own.meter == other.meter)
     }
 
-    /// Whether it fits in one batch with `longer`, which is at least as long: each step of both is one row, whose
-    /// measurements are in the order of the model, or the steps of both have the same measurements. It must also be at
-    /// least half as long.
+    /// Whether the test fits in one batch with `longer`, a test of at least as many steps. Each step of both tests must
+    /// be one row, with measurements in the order of the model, or the steps of both tests must have the same
+    /// measurements. The shorter test must also have at least half as many steps as `longer`.
     pub(crate) fn fits_batch_of(&self, longer: &Skeleton) -> bool {
         let same = |k: usize| {
             let (own, other) = (self.of(k), longer.of(k));
@@ -99,9 +99,9 @@ impl Skeleton {
 }
 
 impl Preparer {
-    /// Writes the steps of a test to `made`. Returns false where the test is in error, or where it is better reduced
-    /// alone: where cells are gathered from several rows, or most steps are in long stretches of equal steps. This
-    /// choice depends only on the cells of the test.
+    /// Writes the steps of a test to `made`. Returns false where the test is in error, or is better reduced alone
+    /// because cells are gathered from several rows or most steps are in long stretches of equal steps. This choice
+    /// depends only on the cells of the test.
     pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
         made.clear();
         made.number = number;
@@ -119,7 +119,8 @@ impl Preparer {
         !made.instances.is_empty() && made.steps.len() + made.instances.len() <= MOST_STEPS_AND_ROWS
     }
 
-    /// Gathers the cells that are constant within a test, and finds its steps; false where the test is in error.
+    /// Gathers the cells that are constant within a test, and finds the steps of the test; false where the test is in
+    /// error.
     fn find_spans(&self, test: &Test, work: &mut Workspace) -> bool {
         let at = self.at();
         if test.rows() == 0 || work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true)).is_err() {

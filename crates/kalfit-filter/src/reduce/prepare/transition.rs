@@ -1,5 +1,5 @@
-//! The transition that leads to a step of a test. Where it needs a matrix exponential, it is computed once for each
-//! step length and set of coefficients; else it is computed every time, which takes less time than a look-up.
+//! The transition that leads to a step of a test. A transition with a matrix exponential is computed once for each step
+//! length and set of coefficients; any other transition is computed every time, which takes less time than a look-up.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -12,13 +12,13 @@ use crate::reduce::shared_store::StoreEntry;
 use crate::reduce::subject::{Fault, ModelAt, Subject};
 use kalfit_model::Test;
 
-/// Most transitions whose memory is kept for reuse.
+/// Largest number of transitions whose memory is reused.
 const MOST_REUSABLE: usize = 1 << 12;
 
 /// The moves of a step, as an entry of the store of transitions.
 type KnownMoves = StoreEntry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
-/// The moves to the last step, with the key that identifies them: the step's length and coefficients.
+/// The moves to the last step, with the key that identifies the moves: length and coefficients of the step.
 #[derive(Debug)]
 pub(super) enum LastMoves {
     Own(Vec<u64>, Moves),
@@ -43,7 +43,7 @@ impl LastMoves {
 }
 
 impl Workspace {
-    /// Empties the design; the memory of unshared transitions is kept for those of the next test.
+    /// Empties the design; the memory of unshared transitions is reused for the transitions of the next test.
     pub(super) fn clear_design(&mut self) {
         let Workspace { design, reusable, .. } = self;
         let mut used = design.moves.drain(..);
@@ -102,7 +102,7 @@ impl Preparer {
         Ok(())
     }
 
-    /// Computes the moves of a step in place of the last ones.
+    /// Computes the moves of a step of length `dt` into `work.last`.
     fn compute_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
         let Workspace { key, replay, filled, reusable, last, .. } = work;
         let moves = self.plan.moves(&self.dynamics, &replay.values, dt, (filled, reusable.pop()))?;

@@ -16,7 +16,7 @@ pub(super) struct JoinedPhase<T> {
     factor: Vec<T>,
     /// Link that leads to the phase; `None` for the first phase.
     pub(super) link: Option<PhaseLink<T>>,
-    /// d, q numbers; `mean` is g of the link that leads to this phase.
+    /// d, q numbers; `mean`: g of the link that leads to the phase, q numbers.
     data: Vec<T>,
     mean: Vec<T>,
 }
@@ -48,7 +48,7 @@ impl<T> Default for JoinWorkspace<T> {
     }
 }
 
-/// Separates numbers in lanes into one list for each test.
+/// One list for each test, from numbers in lanes.
 #[inline(always)]
 pub(super) fn per_test<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
     let mut all = Vec::with_capacity(tests);
@@ -66,7 +66,7 @@ pub(super) fn per_test<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
 }
 
 impl<T: Lanes> JoinedPhase<T> {
-    /// Phase `at` of tests whose phases have the same sizes; there is at least one test, and at most one per lane.
+    /// Phase `at` of tests whose phases have the same sizes; at least one test, at most one test per lane.
     #[inline(always)]
     pub(super) fn new(tests: &[&[StackPhase<'_>]], at: usize) -> JoinedPhase<T> {
         let (count, first) = (tests.len(), &tests[0][at]);

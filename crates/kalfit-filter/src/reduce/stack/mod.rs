@@ -1,12 +1,12 @@
 //! All phases of a test as one square-root array in (ξ_1, …, ξ_I): the states between phases are integrated out.
 //!
 //! Phases are joined backward from the last one. The rows R on (σ_{i+1}, ξ_{i+2}, …) become, with the link σ_{i+1} =
-//! [ξ_{i+1}; 0] + g + Gσ_i + Cu, u ~ N(0, I), rows on (u, σ_i, ξ_{i+1}, …). Plane rotations fold these below the rows
-//! [I 0] of u and the rows of phase i. The result has the rows of u on top, of which only the diagonal is used: its
-//! product is |I + RCC'R'|^½. Below them are the rows on (σ_i, ξ_{i+1}, …). Nothing is inverted, and R, P_K and Σ may
-//! be singular.
+//! [ξ_{i+1}; 0] + g + Gσ_i + Cu, u ~ N(0, I), rows on (u, σ_i, ξ_{i+1}, …). Plane rotations fold the rows on (u, σ_i,
+//! ξ_{i+1}, …) into the rows [I 0] of u and the rows of phase i. The result has the rows of u on top, of which only the
+//! diagonal is used: the product of the diagonal is |I + RCC'R'|^½. Below the rows of u are the rows on (σ_i, ξ_{i+1},
+//! …). Nothing is inverted, and R, P_K and Σ may be singular.
 //!
-//! Tests of one shape are stacked in lanes, together with their data ([`Stacked`]).
+//! Tests of one shape are stacked in lanes, together with the data of the tests ([`Stacked`]).
 
 mod join;
 mod phase;
@@ -33,7 +33,7 @@ fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<JoinedPhase<T>> {
     phases
 }
 
-/// Sets negligible information of a packed factor to none; the operations are appended to `settled`.
+/// Sets negligible information of a packed factor to zero; the operations are appended to `settled`.
 fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<RankOperation>) {
     let mut entries = vec![0.0; width * width];
     let places = || (0..width).flat_map(|k| (0..=k).map(move |i| i * width + k));
@@ -42,7 +42,7 @@ fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<RankOperati
     places().zip(factor).for_each(|(place, x)| *x = entries[place]);
 }
 
-/// G and C of each link of each test.
+/// (G, C) of each link of each test.
 #[inline(always)]
 fn links<T: Lanes>(phases: &[JoinedPhase<T>], tests: usize) -> Vec<Vec<(DMatrix<f64>, DMatrix<f64>)>> {
     let mut all = vec![Vec::with_capacity(phases.len() - 1); tests];
@@ -68,7 +68,7 @@ fn half_log_determinants<T: Lanes>(diagonals: &[Vec<T>], tests: usize) -> Vec<f6
     sums
 }
 
-/// The constant of all phases together.
+/// Σ (constant of a phase) - ½ Σ log|I + RCC'R'| - ½ residual: the constant of all phases together.
 fn constant(phases: &[StackPhase<'_>], half_log_determinant: f64, residual: f64) -> f64 {
     phases.iter().map(|phase| phase.constant).sum::<f64>() - half_log_determinant - 0.5 * residual
 }

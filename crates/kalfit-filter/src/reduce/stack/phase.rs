@@ -12,7 +12,7 @@ pub(crate) struct StackPhase<'a> {
     /// d_i, q_i numbers.
     pub(crate) data: &'a [f64],
     pub(crate) constant: f64,
-    /// Ψ_K and a root of P_K of the phase before, and T; `None` for the first phase.
+    /// [Ψ_K of the phase before, a root of P_K of the phase before, T]; `None` for the first phase.
     pub(crate) link: Option<[&'a DMatrix<f64>; 3]>,
     /// g of the link that leads to this phase; `None` for the first phase.
     pub(crate) mean: Option<&'a DVector<f64>>,

@@ -30,7 +30,7 @@ impl<T: Lanes> StackArray<T> {
         }
     }
 
-    /// Writes data to the column of data, from row `at` on.
+    /// Writes `data` to the last column, from row `at` on.
     #[inline(always)]
     pub(super) fn put_data(&mut self, at: usize, data: &[T]) {
         for (i, &x) in data.iter().enumerate() {
@@ -38,8 +38,8 @@ impl<T: Lanes> StackArray<T> {
         }
     }
 
-    /// Copies the rows and columns from `first` on, and their data, to (at, at) of `to`, where they are the last rows
-    /// and columns.
+    /// Copies the rows and columns from `first` on, with the data of the rows, to the last rows and columns of `to`,
+    /// which begin at (at, at).
     #[inline(always)]
     pub(super) fn copy_from(&self, first: usize, to: &mut StackArray<T>, at: usize) {
         let size = self.stride - first;
@@ -72,7 +72,8 @@ impl<T: Lanes> StackArray<T> {
         packed
     }
 
-    /// True when in every lane each diagonal entry surely exceeds `part` times the norm of its column.
+    /// True when in every lane each diagonal entry is at least 2 × `part` times the norm of the column, and the squared
+    /// norm is between 1e-280 and 1e280.
     #[inline(always)]
     pub(super) fn is_regular(&self, part: f64) -> bool {
         let (least, most, part) = (T::splat(1e-280), T::splat(1e280), T::splat(4.0 * part * part));

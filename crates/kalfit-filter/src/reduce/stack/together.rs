@@ -1,4 +1,4 @@
-//! Tests with per-test designs, stacked in lanes together with their data.
+//! Tests with per-test designs, stacked in lanes together with the data of the tests.
 
 use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
 use nalgebra::DMatrix;
@@ -7,12 +7,12 @@ use crate::reduce::root::UNINFORMED;
 use crate::reduce::stack::join::{JoinWorkspace, per_test};
 use crate::reduce::stack::{StackPhase, constant, given, half_log_determinants, links, settle_packed};
 
-/// The phases of one test stacked.
+/// The stacked phases of one test.
 #[derive(Debug, Clone)]
 pub(crate) struct Stacked {
     /// R of all phases together, packed by columns.
     pub(crate) factor: Vec<f64>,
-    /// G and C of each link, from the first on.
+    /// (G, C) of each link, the first link first.
     pub(crate) links: Vec<(DMatrix<f64>, DMatrix<f64>)>,
     pub(crate) constant: f64,
     /// d of all phases together.
@@ -76,7 +76,8 @@ fn stack_batch<T: Lanes>(
 }
 
 impl Stacked {
-    /// Stacks the phases of tests of one shape. Each test gets the same bits as when it is stacked alone.
+    /// Stacks the phases of tests of one shape. The result of a test has the same bits as when the test is stacked
+    /// alone.
     pub(crate) fn all(tests: &[&[StackPhase<'_>]]) -> Vec<Stacked> {
         Isa::best().run(StackKernel(tests))
     }

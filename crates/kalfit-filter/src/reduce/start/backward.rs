@@ -19,8 +19,8 @@ impl LawAdjoint<'_> {
         self.mean[self.place[state]]
     }
 
-    /// Derivative with respect to the covariance of two states, which is in both triangles of the matrix; 0 for states
-    /// that noise does not reach.
+    /// Derivative with respect to the covariance of states i and j, which is in both triangles of P0; 0 for states that
+    /// noise does not reach.
     fn covariance(&self, i: usize, j: usize) -> f64 {
         let (i, j) = (self.place[i], self.place[j]);
         match i.max(j) < self.r {
@@ -43,7 +43,7 @@ pub(crate) struct StartAdjoint {
 }
 
 impl ModelStart {
-    /// Writes the derivatives of the start to `out`. `values`, `inputs`: the dynamics' tables that were given to
+    /// Writes the derivatives of the start to `out`. `values`, `inputs`: the dynamics' tables that were passed to
     /// [`ModelStart::law`].
     pub(crate) fn backward(
         &self,

@@ -7,13 +7,15 @@ use crate::reduce::suboptimal::matrices::{append, fold};
 use kalfit_algebra::symmetric;
 use kalfit_model::Filter;
 
-/// A measurement adds nothing when its deviation, given the others of its step, is at most this fraction of its
-/// deviation.
+/// A measurement is redundant when the standard deviation of the measurement, given other measurements of the step, is
+/// at most this fraction of the standard deviation before the step.
 const REDUNDANT_FRACTION: f64 = 1e-13;
-/// A measurement counts as known already when its deviation is at most this fraction of that without measurements.
+/// A measurement counts as known already when the standard deviation of the measurement is at most this fraction of the
+/// standard deviation before any measurement.
 const KNOWN_FRACTION: f64 = 1e-12;
-/// Correlation of a state with an innovation up to which it is rounding error. It must not become a gain: it would
-/// vanish in the rounding of a larger estimate, yet the estimate's covariance would consist of it alone.
+/// Largest correlation of a state with an innovation that counts as rounding error. Such a correlation must not become
+/// a gain: the gain would vanish in the rounding of a larger estimate, yet the estimate's covariance would consist of
+/// that gain alone.
 const UNCORRELATED: f64 = 1e-13;
 
 /// The covariance of [x_k; x_0] that the filter assumes, right or wrong.
@@ -30,7 +32,7 @@ pub(super) struct AssumedCovariance<'a> {
 struct Whitened {
     kept: Vec<usize>,
     L: DMatrix<f64>,
-    /// Covariance of [x_k; x_0] with w.
+    /// Covariance of [x_k; x_0] with w, one column for each element of w.
     C: DMatrix<f64>,
 }
 
@@ -50,9 +52,9 @@ impl<'a> AssumedCovariance<'a> {
         self.unmeasured = phi * &self.unmeasured * phi.transpose() + Q;
     }
 
-    /// Takes all measurements of a step at once; `noise` is a root of R. Returns [K; K⁰], 2n × m, with zero rows for
-    /// considered states in both: the gain minimises the variance of each other state and does not change considered
-    /// states. (Schmidt 1966)
+    /// Updates U by all measurements of a step at once; `noise` is a root of R. Returns [K; K⁰], 2n × m, with zero rows
+    /// for considered states in both: the gain minimises the variance of each other state and does not change
+    /// considered states. (Schmidt 1966)
     ///
     /// The update is Joseph's form, P ← (I - KM)P(I - KM)' + KRK', which holds for any gain, applied to roots.
     pub(super) fn update(&mut self, M: &DMatrix<f64>, noise: &DMatrix<f64>) -> DMatrix<f64> {

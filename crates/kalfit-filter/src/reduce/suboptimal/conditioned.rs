@@ -1,5 +1,5 @@
-//! The information of estimates about x_0, by conditioning on the space in which they are random (theory §8): the part
-//! that does not depend on their values.
+//! The information of estimates about x_0, by conditioning on the space in which the estimates are random (theory §8):
+//! the part that does not depend on the values of the estimates.
 #![expect(non_snake_case, reason = "the letters of the theory: B, D, E, G, N, S, T, U, V, W, phi")]
 
 use nalgebra::{DMatrix, DVector};
@@ -7,15 +7,15 @@ use nalgebra::{DMatrix, DVector};
 use crate::reduce::suboptimal::jacobi::SingularValues;
 use kalfit_model::Estimates;
 
-/// Directions of ŝ are not random when their standard deviation is at most this fraction of the largest, with elements
-/// scaled to unit deviation.
+/// A direction of ŝ, with elements scaled to unit deviation, is not random when the standard deviation is at most this
+/// fraction of the largest standard deviation.
 const CERTAIN_FRACTION: f64 = 1e-10;
-/// A sum counts as zero when it is at most this fraction of the size of its terms.
+/// A sum counts as zero up to this fraction of the size of the terms.
 const CANCELLED_FRACTION: f64 = 1e-9;
 /// Bound on the rounding error of a relation, as a multiple of the singular value that it leaves.
 const ROUNDING_BOUND: f64 = 1e4;
-/// Values that are certain may be off by this fraction of their terms plus this many standard deviations of their
-/// elements: files keep only so many digits.
+/// Certain values may deviate by this fraction of the size of the terms, plus [`TOLERATED_DEVIATIONS`] standard
+/// deviations of the elements of ŝ: files have only so many digits.
 const TOLERATED_FRACTION: f64 = 1e-9;
 const TOLERATED_DEVIATIONS: f64 = 1e-4;
 
@@ -26,7 +26,7 @@ pub(super) struct ExactCombination;
 /// The start of estimates: x_0 = a + Eσ + Pη, η white.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct EstimateStart<'a> {
-    /// The states that E picks, q of them.
+    /// Indices of the q states that E picks.
     pub(super) entering: &'a [usize],
     /// P, a root of P0: n × l.
     pub(super) root: DMatrix<f64>,
@@ -51,13 +51,13 @@ pub(super) struct Conditioned {
     N: DMatrix<f64>,
     /// Tolerated deviation of each element of N u from zero.
     slack: DVector<f64>,
-    /// [G T; 0 T_B]; the first `free` columns belong to η', the others to σ.
+    /// [G T; 0 T_B]; the first `free` columns belong to η', all further columns to σ.
     pub(super) rows: DMatrix<f64>,
     /// Number of elements of η'.
     pub(super) free: usize,
-    /// ½ log |Γ_hh| over an orthonormal basis of its range, in the units of ŝ.
+    /// ½ log |Γ_hh| over an orthonormal basis of the range of Γ_hh, in the units of ŝ.
     pub(super) log_volume: f64,
-    /// ½ log |cov(ŝ)| given σ and η', over such a basis of its range and in the same units.
+    /// ½ log |cov(ŝ | σ, η')| over an orthonormal basis of the range of the covariance, in the units of ŝ.
     pub(super) log_spread: f64,
     /// φE, n × q.
     pub(super) phi_E: DMatrix<f64>,
@@ -121,7 +121,7 @@ impl Conditioned {
         })
     }
 
-    /// Checks that N u is zero to within its tolerance. `terms`: size of the terms of each element of u. The error is
+    /// Checks that N u is zero to within the tolerance. `terms`: size of the terms of each element of u. The error is
     /// (found, allowed).
     pub(super) fn check(&self, u: &DVector<f64>, terms: &DVector<f64>) -> Result<(), (f64, f64)> {
         let (off, sizes) = (&self.N * u, self.N.map(f64::abs) * terms);
@@ -145,15 +145,15 @@ impl Conditioned {
 /// Information of certain combinations of ŝ about η and σ: B u = V_B'η + T_B σ.
 struct CertainInformation {
     V_B: DMatrix<f64>,
-    /// Orthonormal basis of the rest of the space of η.
+    /// Orthonormal basis of the complement of V_B in the space of η.
     V_0: DMatrix<f64>,
     T_B: DMatrix<f64>,
     B: DMatrix<f64>,
     /// Combinations of the relations that are certain given σ alone, one per row.
     left: DMatrix<f64>,
-    /// Σ log of the standard deviations of the other combinations, given σ.
+    /// Σ log of the standard deviations, given σ, of the combinations in `basis`.
     log_values: f64,
-    /// Orthonormal basis of these other combinations, one per column.
+    /// Orthonormal basis of the combinations that are not certain given σ, one per column.
     basis: DMatrix<f64>,
 }
 
@@ -180,7 +180,7 @@ impl Relations<'_> {
         };
         let norms = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
         let (NS, E) = (clean(self.rows, S, &rounding(&norms(self.WS))), entry.entering);
-        // the law of η, which is white, informs of it as well
+        // the law of η, which is white, informs of η as well
         let norms: Vec<f64> = norms(&(self.WS * &entry.root)).iter().map(|norms| norms.hypot(1.0)).collect();
         let NP = clean(&NS, &entry.root, &rounding(&norms));
         let (k, l) = NP.shape();
@@ -202,8 +202,8 @@ impl Relations<'_> {
     }
 }
 
-/// ε of each relation, in deviations: from its own singular value, which is zero up to rounding, or from the rounding
-/// error of the largest one. It is zero for relations of elements without any noise.
+/// ε of each relation, in deviations: from the singular value of the relation, which is zero up to rounding, or from
+/// the rounding error of the largest singular value; zero for relations of elements without noise.
 fn rounding_deviation(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
     let m = deviation.len();
     let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
@@ -211,8 +211,7 @@ fn rounding_deviation(whole: &SingularValues, r: usize, deviation: &[f64]) -> DV
     DVector::from_fn(m - r, |i, _| if random(r + i) { ROUNDING_BOUND * whole.values[r + i].max(least) } else { 0.0 })
 }
 
-/// AB with entries that are rounding error set to zero: those below CANCELLED × the size of their terms plus
-/// `rounding`.
+/// AB with rounding errors set to zero: entries up to CANCELLED_FRACTION × the size of the entry's terms + `rounding`.
 fn clean(a: &DMatrix<f64>, b: &DMatrix<f64>, rounding: &DMatrix<f64>) -> DMatrix<f64> {
     let (product, size) = (a * b, a.map(f64::abs) * b.map(f64::abs));
     product.zip_zip_map(

@@ -12,7 +12,7 @@ use kalfit_algebra::fold::fold;
 /// A diagonal entry of R up to this fraction of the norm of its column counts as zero information.
 const UNINFORMED: f64 = 1e-12;
 
-/// [I 0 0; G T y; 0 T_B y_B] folded into R of (η', σ) with its data, and the residual.
+/// [I 0 0; G T y; 0 T_B y_B] folded into R of (η', σ), data and residual.
 pub(super) struct FoldedEstimates {
     /// R with data and residual in the last column, (k + q + 1)², row-major.
     info: Vec<f64>,

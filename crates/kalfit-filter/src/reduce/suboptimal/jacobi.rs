@@ -1,8 +1,8 @@
-//! Singular values by one-sided plane rotations (Hestenes 1958): small ones keep their digits.
+//! Singular values by one-sided plane rotations (Hestenes 1958): small singular values lose no digits.
 
 use nalgebra::DMatrix;
 
-/// Most sweeps over all pairs of columns: an iteration that has not converged by then never will.
+/// Largest number of sweeps over all pairs of columns: an iteration that has not converged after so many never will.
 const SWEEPS: usize = 60;
 
 /// A = U Λ V'.
@@ -49,7 +49,7 @@ impl SingularValues {
     }
 }
 
-/// Makes columns i and j orthogonal; false where they are orthogonal already.
+/// Makes columns i and j orthogonal; false where the columns are orthogonal already.
 fn turn(scaled_right: &mut DMatrix<f64>, left: &mut DMatrix<f64>, (i, j): (usize, usize)) -> bool {
     let (a, b) = (scaled_right.column(i).norm_squared(), scaled_right.column(j).norm_squared());
     let product = scaled_right.column(i).dot(&scaled_right.column(j));

@@ -18,7 +18,7 @@ use kalfit_model::Filter;
 /// Gains and moments that are shared by tests that the filter processes identically.
 #[derive(Debug, Clone)]
 pub(super) struct FilterDesign {
-    /// [K; K⁰] of each scalar measurement of the test, 2n numbers each, states in the filter's kernel order.
+    /// [K; K⁰] of each scalar measurement of the test, 2n numbers per measurement, states in the filter's kernel order.
     pub(super) gains: Vec<f64>,
     /// S, the sensitivity of s to x_0, 3n × n.
     pub(super) sensitivity: DMatrix<f64>,
@@ -26,7 +26,7 @@ pub(super) struct FilterDesign {
     pub(super) root: DMatrix<f64>,
 }
 
-/// A model ready to evaluate tests, and the test evaluated.
+/// A preparer, and the work space with the test that the preparer evaluated.
 pub(super) type EvaluatedModel<'a> = (&'a Preparer, &'a Workspace);
 
 /// Runs the truth and the filter through a test.
@@ -110,8 +110,8 @@ struct JointMoments {
     n: usize,
     /// S, 3n × n.
     sensitivity: DMatrix<f64>,
-    /// D, 3n × any number of columns. Γ = DD' is never formed: it would lose half the digits of directions that are
-    /// nearly certain.
+    /// D, 3n × any number of columns. Γ = DD' is never formed, since the product would lose half the digits of nearly
+    /// certain directions.
     root: DMatrix<f64>,
 }
 
@@ -123,7 +123,7 @@ impl JointMoments {
         JointMoments { n, sensitivity, root: DMatrix::zeros(3 * n, 0) }
     }
 
-    /// The truth moves by its φ and noise, and x̂ by the filter's φ; x̂_0 does not change.
+    /// x moves by φ and noise of the truth, x̂ by φ of the filter; x̂_0 does not change.
     fn predict(&mut self, truth: Option<&StepMotion>, assumed: Option<&StepMotion>) {
         let n = self.n;
         for all in [&mut self.sensitivity, &mut self.root] {

@@ -1,12 +1,12 @@
-//! The inputs of a filter run: its prior, the model without its start, and the columns constant within a test.
+//! The inputs of a filter run: prior, model without a law of x_0, and the columns constant within a test.
 
 use crate::reduce::error::{ReduceErrorKind, finite, of_shape};
 use kalfit_algebra::symmetric::{is_semidefinite, scaled_range};
 use kalfit_model::{CovarianceStructure, Expression, Filter, Initial, MeanStructure, Model};
 use kalfit_model::{Label, Test};
 
-/// One row with the cells that are the same in all rows of the test in which they are not missing, without measured
-/// values and times.
+/// One row with the value of each column that has one value in all rows of the test in which the column is not missing,
+/// without measured values and times.
 pub(super) fn constants(model: &Model, test: &Test) -> Test {
     let mut row = Test::new(test.id.clone(), model.columns.len(), model.text_columns.len());
     let measured = |column: usize| {
@@ -28,7 +28,7 @@ pub(super) fn constants(model: &Model, test: &Test) -> Test {
     row
 }
 
-/// The model without its law of x_0: estimates are expressed as functions of the whole x_0.
+/// The model without the law of x_0: estimates are expressed as functions of the whole x_0.
 pub(super) fn without_start(model: &Model) -> Model {
     let mut model = model.clone();
     for state in &mut model.states {

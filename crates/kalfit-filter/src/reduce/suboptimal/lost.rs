@@ -16,20 +16,20 @@ const UNINFORMED: f64 = 1e-9;
 pub struct Lost {
     /// J_raw - J, positive semidefinite, p × p.
     pub information: DMatrix<f64>,
-    /// Smallest and largest fraction of the information lost in any direction in which J_raw has information: from 0,
-    /// where nothing is lost, to 1, where all is lost.
+    /// (smallest, largest) lost fraction of the information, over all directions in which J_raw has information: from
+    /// 0, where nothing is lost, to 1, where all is lost.
     pub range: (f64, f64),
 }
 
-/// Why the lost information cannot be computed.
+/// Reason why the lost information cannot be computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LostError {
     /// The reductions are of different tests.
     #[error("a reduction of test `{found}` cannot be compared with one of test `{expected}`")]
     OtherTest {
-        /// Test of the estimates.
+        /// Id of the test of the estimates.
         found: String,
-        /// Test of the measurements.
+        /// Id of the test of the measurements.
         expected: String,
     },
     /// The reductions are of different models.
@@ -42,7 +42,7 @@ pub enum LostError {
         /// Number of elements of ξ in the reduction of the measurements.
         expected: usize,
     },
-    /// The estimates have more information than the measurements, as no function of these can have.
+    /// The estimates have more information than the measurements, as no function of the measurements can have.
     #[error(
         "test `{test}`: the estimates say more than the measurements, by {excess:.1e} of the information: they are not of the same data or model"
     )]
@@ -54,8 +54,8 @@ pub enum LostError {
     },
 }
 
-/// The information that the estimates of a test lose compared with its measurements. Both are reductions at one α and
-/// in the same coordinates.
+/// The information that the estimates of a test lose compared with the measurements. `raw` and `suboptimal` are
+/// reductions of the test at one α, in one system of coordinates.
 ///
 /// # Errors
 /// Reductions of different tests or models, and estimates with more information than the measurements.
@@ -79,8 +79,7 @@ pub fn lost(raw: ReductionRef<'_>, suboptimal: ReductionRef<'_>) -> Result<Lost,
     Ok(Lost { information, range: parts(&scale(&whole), &missing) })
 }
 
-/// Smallest and largest eigenvalue of `missing` relative to `whole`, in the directions in which `whole` has
-/// information.
+/// (smallest, largest) eigenvalue of `missing` relative to `whole`, in the directions in which `whole` has information.
 fn parts(whole: &DMatrix<f64>, missing: &DMatrix<f64>) -> (f64, f64) {
     let (values, vectors) = symmetric::eigen(whole);
     let floor = values.last().map_or(0.0, |largest| UNINFORMED * largest);

@@ -7,7 +7,7 @@ use crate::reduce::design::{DesignStep, Transition};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 
-/// The test in a work space whose measurements are not whitened.
+/// Matrices of the test in a work space, whose measurements are not whitened.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Matrices<'a> {
     work: &'a Workspace,
@@ -58,10 +58,10 @@ impl<'a> Matrices<'a> {
     }
 }
 
-/// F with FF' = `a`, positive semidefinite, m × m; its columns of zeros are left out.
+/// F with FF' = `a`, which is m × m and positive semidefinite; F has no columns of zeros.
 pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite> {
     let m = a.nrows();
-    // `a` is symmetric, so its columns are its rows
+    // `a` is symmetric, so that columns are rows
     let U = root(a.as_slice(), m)?;
     let kept: Vec<usize> = (0..m).filter(|k| U[k * m..][..m].iter().any(|x| *x != 0.0)).collect();
     Ok(DMatrix::from_fn(m, kept.len(), |i, k| U[kept[k] * m + i]))
@@ -70,7 +70,8 @@ pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite>
 /// Largest ratio of columns to rows that a root may have before it is folded.
 const MOST_COLUMNS_PER_ROW: usize = 3;
 
-/// Adds independent noise to a root: appends columns, with the rows of `noise` from row `first` on.
+/// Adds independent noise to a root: appends the columns of `noise`, with the first row of `noise` at row `first` and
+/// zeros elsewhere.
 pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>) {
     if noise.ncols() == 0 {
         return;

@@ -1,12 +1,12 @@
-//! Suboptimal filters: the information in the estimates that they make (theory §8, the paper's section 4).
+//! Information in the estimates of suboptimal filters (theory §8, the paper's section 4).
 //!
 //! ```text
 //! Test ── FilterRunner ──> Estimates          the truth and the filter propagated together: ŝ, s̄, S, φ_K, a root of Γ
 //! Estimates ── EstimateReducer ──> Reduction + Terminal
 //! ```
 //!
-//! Estimates that were made elsewhere enter at the second arrow. Nothing after it depends on where a reduction came
-//! from.
+//! Estimates that were made elsewhere enter at the second arrow. Nothing after that arrow depends on where the
+//! estimates were made.
 
 mod believed;
 mod conditioned;

@@ -20,7 +20,7 @@ use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Alpha, Phase};
 
-/// Most bytes of conditioned designs that are cached.
+/// Largest number of bytes of cached conditioned designs.
 const CLASS_BYTES: usize = 64 << 20;
 /// A deviation up to this fraction of an estimate is lost in the rounding of the estimate.
 const LOST_IN_ROUNDING: f64 = 1e-12;
@@ -31,7 +31,7 @@ struct EstimateClass {
     sensitivities: DMatrix<f64>,
     transition: DMatrix<f64>,
     root: DMatrix<f64>,
-    /// Root of P0.
+    /// F with FF' = P0.
     start: DMatrix<f64>,
 }
 
@@ -39,7 +39,7 @@ type EstimateResult = Result<Conditioned, ExactCombination>;
 /// a, a root of P0, and covariates.
 type StartOfEstimates = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 
-/// Makes reductions of estimates (theory §8), in the entering coordinates σ of their phase, x_0 = a + Eσ + ζ.
+/// Makes reductions of estimates (theory §8), in the entering coordinates σ of the phase, x_0 = a + Eσ + ζ.
 ///
 /// ```text
 /// log p(ŝ | σ) = constant - ½ ‖d - Rσ‖²        x_K | ŝ, σ ~ N(x̂_K + Ψ_K σ, P_K)
@@ -47,8 +47,8 @@ type StartOfEstimates = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 ///
 /// The density is that of ŝ on the space in which ŝ is random given x_0 (or given σ, where only ζ makes it random),
 /// over an orthonormal basis of that space: it depends on units, and is never compared with the density of
-/// measurements. A combination of ŝ that is not random must have its only possible value. a, P0 and the covariates are
-/// those of the phase's model at α and at the estimates' constants.
+/// measurements. A combination of ŝ that is not random must have the only possible value. a, P0 and the covariates are
+/// evaluated by the phase's model at α and at the estimates' constants.
 #[derive(Debug)]
 pub struct EstimateReducer {
     entering: Vec<usize>,
@@ -67,20 +67,20 @@ impl EstimateReducer {
         Ok(EstimateReducer { entering: model.estimated, preparer, classes: SharedStore::new(CLASS_BYTES) })
     }
 
-    /// The reduction of a test, and its last state. They are the same whatever was reduced before.
+    /// The reduction and the last state of a test, the same whatever was reduced before.
     ///
     /// # Errors
-    /// Estimates whose shapes do not fit the model or that are not finite; that contradict themselves in a
-    /// direction in which they are not random ([`ReduceErrorKind::Inconsistent`]) or that determine a combination of σ
-    /// exactly ([`ReduceErrorKind::ExactMeasurement`]); constants that a, P0 or a regression needs and that are
-    /// missing.
+    /// Estimates whose shapes do not fit the model or that are not finite; estimates that contradict themselves in a
+    /// direction in which the estimates are not random ([`ReduceErrorKind::Inconsistent`]) or that determine a
+    /// combination of σ exactly ([`ReduceErrorKind::ExactMeasurement`]); constants that a, P0 or a regression needs and
+    /// that are missing.
     pub fn reduce(&self, id: &str, estimates: &Estimates) -> Result<(Reduction, Terminal), ReduceError> {
         self.reduced(id, estimates).map(|(reduction, terminal, _)| (reduction, terminal))
     }
 
-    /// ½ log |Γ| of the estimates, over an orthonormal basis of the space in which they are random given x_0. Added to
-    /// the reduction's constant it gives the density of the estimates in coordinates in which, given x_0, they have
-    /// unit covariance; this density does not depend on units.
+    /// ½ log |Γ| of the estimates, over an orthonormal basis of the space in which the estimates are random given x_0.
+    /// The sum of ½ log |Γ| and the reduction's constant gives the density of the estimates in coordinates in which the
+    /// estimates have unit covariance given x_0; this density does not depend on units.
     ///
     /// # Errors
     /// As [`EstimateReducer::reduce`].
@@ -151,7 +151,7 @@ impl EstimateReducer {
         Ok((start, start_root, work.covariates))
     }
 
-    /// (digest of the design, conditioned design that its tests share).
+    /// (digest of the design, conditioned design that all tests of the design share).
     fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Entry<EstimateClass, EstimateResult>>) {
         let Estimates { sensitivities, transition, root, .. } = estimates;
         let mut digest = Digest::new();
@@ -183,8 +183,8 @@ impl EstimateReducer {
     }
 }
 
-/// The estimates, with those elements taken as certain whose deviation is lost in the rounding of their values. A gain
-/// that is zero up to rounding makes such elements; their remaining deviation has no meaning.
+/// The estimates, where each element whose deviation is lost in the rounding of the value is taken as certain. A gain
+/// that is zero up to rounding makes such elements; the remaining deviation has no meaning.
 fn without_lost_deviations(estimates: &Estimates) -> Cow<'_, Estimates> {
     let n = estimates.transition.nrows();
     let is_lost = |&i: &usize| {
@@ -208,7 +208,7 @@ fn same_bits(a: &DMatrix<f64>, b: &DMatrix<f64>) -> bool {
     a.shape() == b.shape() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }
 
-/// Checks shapes and finiteness. `widths`: numbers of numeric and text columns of the model.
+/// Checks shapes and finiteness. `widths`: (number of numeric columns, number of text columns) of the model.
 fn check(estimates: &Estimates, n: usize, widths: (usize, usize)) -> Result<(), (&'static str, ReduceErrorKind)> {
     let m = estimates.estimates.len();
     let Estimates { offsets, sensitivities, transition, drift, root, constants, .. } = estimates;

@@ -1,4 +1,4 @@
-//! Runs of a filter, optimal or not, over tests: its estimates, and how they depend on the truth.
+//! Runs of a filter, optimal or not, over tests: the estimates, and how the estimates depend on the truth.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use kalfit_model::Estimates;
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Filter, Level, Phase};
 
-/// Most bytes of gains that are cached.
+/// Largest number of bytes of cached gains.
 const CLASS_BYTES: usize = 256 << 20;
 
 type NoiseCovariances = Vec<(usize, usize, f64)>;
@@ -33,12 +33,13 @@ struct FilterClass {
 
 /// Runs the `[filter]` of a phase over tests (theory §8).
 ///
-/// The truth has the model's φ, M, Q, R, b, d at α; the filter has different ones where it assumes other parameters,
-/// and a separate prior of all states at x_0. Its gain is the joint gain of all measurements of a step, with zero rows
-/// for considered states, in the filter and in the fixed-point smoother of x_0.
+/// The truth has the model's φ, M, Q, R, b, d at α; the filter has a different φ, M, Q, R, b, d where the filter
+/// assumes other parameters, and a separate prior of all states at x_0. The filter's gain is the joint gain of all
+/// measurements of a step, with zero rows for considered states, in the filter and in the fixed-point smoother of x_0.
 ///
-/// The filter's parameters are those of α unless [`Filter::parameters`] sets them. Tests that the filter processes
-/// identically share its gains. Estimates do not depend on this sharing, on threads or on the order of the tests.
+/// The filter's parameters have the values of α, except for the values that [`Filter::parameters`] sets. Tests that the
+/// filter processes identically share gains. Estimates do not depend on this sharing, on threads or on the order of the
+/// tests.
 #[derive(Debug)]
 pub struct FilterRunner {
     filter: Filter,
@@ -51,7 +52,8 @@ pub struct FilterRunner {
 struct RunWorkspace {
     truth: Workspace,
     assumed: Workspace,
-    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; `first` has x̂_0 and s̄_3 likewise.
+    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; the columns of `first` are x̂_0 and
+    /// s̄_3.
     now: Vec<f64>,
     first: Vec<f64>,
     /// s̄_1, in the truth's kernel order.
@@ -63,8 +65,8 @@ impl FilterRunner {
     /// A runner of the phase's filter at α.
     ///
     /// # Errors
-    /// A phase without a filter ([`ReduceErrorKind::NoFilter`]); a prior that is not of the model's states, not finite or not
-    /// positive semidefinite; coefficients without a value, whatever the data.
+    /// A phase without a filter ([`ReduceErrorKind::NoFilter`]); a prior that has other states than the model, or is
+    /// not finite or not positive semidefinite; coefficients without a value, whatever the data.
     pub fn new(phase: &Phase, alpha: &Alpha) -> Result<FilterRunner, ReduceError> {
         let Some(filter) = &phase.filter else {
             return Err(refuse(None, &format!("phase `{}`", phase.name), ReduceErrorKind::NoFilter));
@@ -83,8 +85,8 @@ impl FilterRunner {
         Ok(FilterRunner { filter: filter.clone(), truth, assumed, classes: SharedStore::new(CLASS_BYTES) })
     }
 
-    /// The filter's estimates of a test, ŝ = [x̂_K; x̂_{0|K}], 2n numbers, and how they depend on x_0 and on noise. `test` has
-    /// the rows of the phase.
+    /// The filter's estimates of a test, ŝ = [x̂_K; x̂_{0|K}], 2n numbers, and how ŝ depends on x_0 and on noise.
+    /// `test` has the rows of the phase.
     ///
     /// # Errors
     /// Missing cells, covariances that are not positive semidefinite, and any other error that prevents the
@@ -93,7 +95,7 @@ impl FilterRunner {
         self.run_in(test, &mut self.scratch())
     }
 
-    /// The estimates of many tests, in their order, or the error of the first test in error.
+    /// The estimates of `tests`, in the order of `tests`, or the error of the first test in error.
     pub fn run_all(&self, tests: &[Test]) -> Result<Vec<Estimates>, ReduceError> {
         let all: Vec<Result<Estimates, ReduceError>> =
             tests.par_iter().map_init(|| self.scratch(), |scratch, test| self.run_in(test, scratch)).collect();
@@ -197,7 +199,7 @@ impl FilterRunner {
                     assumed_input += 1;
                 }
             }
-            // all innovations of a step come before any update, since its gain is joint
+            // all innovations of a step come before any update, since the gain of a step is joint
             moved.clear();
             for (i, row) in step.rows.clone().enumerate() {
                 let (line, assumed_line) = (step.lines.start + i, assumed_step.lines.start + i);
@@ -243,7 +245,7 @@ impl FilterRunner {
     }
 }
 
-/// Adds to an error that the filter, not the model, cannot be run.
+/// Marks an error as an error of the filter, not of the model.
 fn of_filter(mut error: ReduceError) -> ReduceError {
     error.what.push_str(", as the filter has it");
     error

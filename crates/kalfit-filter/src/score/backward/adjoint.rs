@@ -17,7 +17,7 @@ pub(super) struct Adjoint<T = f64> {
     pub(super) N: Vec<T>,
     NK: Vec<T>,
     upsilon: Vec<T>,
-    /// r and ρ of the state after a transition, while it is passed backward.
+    /// r and ρ of the state after a transition, while the transition is passed backward.
     before: Vec<T>,
     smoothed: Vec<T>,
     rows: Vec<T>,
@@ -58,7 +58,7 @@ struct Scalar<'a, T, E> {
 }
 
 impl<T: Real> Adjoint<T> {
-    /// Begins after the last step: with zero, or with (r, ρ, N) from later phases.
+    /// Sets r, ρ and N after the last step: to zero, or to `ending` = [r, ρ, N] from later phases.
     #[inline(always)]
     pub(super) fn begin(&mut self, posterior: &PosteriorRoot<'_, T>, ending: Option<[&[T]; 3]>) {
         let (n, r, c) = (posterior.frame.n, posterior.frame.r, posterior.columns);
@@ -73,7 +73,7 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// ∂ℓ/∂P0, each entry by itself.
+    /// Sets `out` to ∂ℓ/∂P0, r × r, with the entries of P0 taken as independent.
     #[inline(always)]
     pub(super) fn start_covariance_adjoint(&self, posterior: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
         let (r, c, half) = (posterior.frame.r, posterior.columns, T::splat(0.5));
@@ -168,8 +168,8 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// The backward pass through a transition, whose adjoints go to `bar`. `before_transition`: the filter before the transition,
-    /// where adjoints of φ are wanted.
+    /// The backward pass through a transition, whose adjoints go to `bar`. `before_transition`: the state of the filter
+    /// before the transition, where adjoints of φ are wanted.
     #[inline(always)]
     pub(super) fn moved<E: Entries<T>>(
         &mut self,
@@ -218,7 +218,7 @@ impl<T: Real> Adjoint<T> {
     ) {
         let Adjoint { r: adjoint, rho, N, before, smoothed, .. } = self;
         let (adjoint_before, rho_before) = before.split_at(adjoint.len());
-        // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; the other states do not change
+        // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; for all other states, x̄ and ΨC are not changed
         smoothed.clear();
         for i in 0..r {
             let P = &before_transition.P[i * r..][..r];

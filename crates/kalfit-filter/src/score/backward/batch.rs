@@ -15,7 +15,7 @@ use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasuremen
 use crate::score::backward::sink::TransitionAdjoint;
 use crate::score::moments::Moments;
 
-/// The backward pass of a batch of tests, after their filters.
+/// The backward pass of a batch of tests that the filters have passed.
 #[derive(Debug)]
 pub(crate) struct BatchBackward<'a> {
     pub(crate) block: &'a DataBlock,
@@ -28,17 +28,17 @@ pub(crate) struct BatchBackward<'a> {
     pub(crate) wanted: AdjointsWanted,
 }
 
-/// The adjoints of all tests of a batch, in lanes: each number of all tests together.
+/// The adjoints of all tests of a batch, in lanes: number k of the test in lane l is at index k × lanes + l of a list.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchAdjoints {
     lanes: usize,
-    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h, of each measurement.
+    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if wanted, ∂ℓ/∂h, of each measurement.
     rows: Vec<f64>,
     /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition.
     moves: Vec<f64>,
     mean: Vec<f64>,
     variance: Vec<f64>,
-    /// Number of adjoints per measurement, and per transition for each of φ, Q and b.
+    /// (adjoints per measurement, adjoints per transition of [φ, Q, b]), as counts.
     sizes: (usize, [usize; 3]),
 }
 
@@ -67,10 +67,10 @@ impl Kernel for BatchBackward<'_> {
     }
 }
 
-/// What the pass reads of a batch, in lanes; each step is a run. A step or a measurement that a test lacks has no
+/// The coefficients and data of a batch, in lanes; each step is a run. A step or a measurement that a test lacks has no
 /// effect: φ = I, Q = 0, h = 0, R = 1.
 struct BatchNumbers<'a> {
-    /// The shape of all designs together; its coefficients are not read.
+    /// A design with the shape that all designs share; the coefficients of this design are not read.
     shape: &'a Design,
     designs: &'a DesignBatch,
     data: DataView<'a>,
@@ -96,21 +96,21 @@ impl<'a> BatchNumbers<'a> {
 /// states.
 const MAX_STORED_NUMBERS: usize = 1 << 16;
 
-/// The filter over a batch, and its stored states.
+/// The filter over a batch, and the stored states of the filter.
 struct BatchPass<'a, T> {
     numbers: BatchNumbers<'a>,
     posterior: PosteriorRoot<'a, T>,
     now: FilteredMoments<T>,
     /// ē of each measurement.
     e: Vec<T>,
-    /// The filter before each transition of the current block of steps (`left`), and before each measurement
-    /// (`before`), as [`FilteredMoments::save`] writes it.
+    /// States of the filter before each transition of the current block of steps (`left`), and before each measurement
+    /// (`before`), as [`FilteredMoments::save`] writes them.
     left: Vec<T>,
     before: Vec<T>,
     stride: usize,
 }
 
-/// Position of a pass: the numbers of the next run, row and transition.
+/// Position of a pass: the indices of the next run, row and transition.
 #[derive(Debug, Clone, Copy, Default)]
 struct BatchPosition {
     run: usize,
@@ -167,7 +167,7 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
         (MAX_STORED_NUMBERS / self.stride.max(1) / (usize::from(wanted.motion) + rows).max(1)).max(1)
     }
 
-    /// Runs the filter from a position to the one before run `to`, which is returned.
+    /// Runs the filter from position `at` to the position before run `to`, and returns the latter position.
     #[inline(always)]
     fn forward(&mut self, mut at: BatchPosition, to: usize) -> BatchPosition {
         let BatchPass { numbers, posterior, now, e, left, before, .. } = self;
@@ -313,18 +313,18 @@ fn to_numbers<T: Lanes>(numbers: &[T]) -> Vec<f64> {
 }
 
 impl BatchAdjoints {
-    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h to all states, of each measurement; and their number per
+    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if wanted, ∂ℓ/∂h over all states, of each measurement; and the number of adjoints per
     /// measurement.
     pub(crate) fn rows(&self) -> (&[f64], usize) {
         (&self.rows, self.sizes.0)
     }
 
-    /// The adjoints of the measurements, mutable, and their number per measurement.
+    /// The adjoints of the measurements, mutable, and the number of adjoints per measurement.
     pub(crate) fn rows_mut(&mut self) -> (&mut [f64], usize) {
         (&mut self.rows, self.sizes.0)
     }
 
-    /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition, and their number per transition.
+    /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition, and the number of adjoints per transition.
     pub(crate) fn moves(&self) -> (&[f64], usize) {
         (&self.moves, self.sizes.1.iter().sum())
     }

@@ -1,5 +1,5 @@
 //! The data-dependent part of the backward pass through equal steps of one scalar measurement: for one record, or in
-//! lanes for several that share all but their data.
+//! lanes for several records that differ in their data only.
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
@@ -20,7 +20,7 @@ pub(crate) struct StepCoefficients<T, const N: usize> {
     pub(super) moves: bool,
 }
 
-/// P before a step and, where ∂ℓ/∂h is wanted, before its measurement.
+/// P before a step and, where ∂ℓ/∂h is wanted, before the measurement of the step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PriorVariances<const N: usize> {
     pub(crate) before_step: [[f64; N]; N],

@@ -6,7 +6,7 @@ use kalfit_lanes::{Lanes, Real};
 
 use crate::score::backward::data_adjoint::{PriorVariances, StepCoefficients, one};
 
-/// P and ΨC before a step and, where ∂ℓ/∂h is wanted, before its measurement.
+/// P and ΨC before a step and, where ∂ℓ/∂h is wanted, before the measurement of the step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PriorMoments<const N: usize, const C: usize> {
     pub(super) P: PriorVariances<N>,
@@ -55,7 +55,7 @@ impl<T: Real, const N: usize, const C: usize> DesignSums<T, N, C> {
         DesignSums { noise: zero, upsilon: columns, h: [zero; N], q: matrix, phi: matrix, rho: [columns; N] }
     }
 
-    /// Adds `many` times other sums.
+    /// Adds `many` times the sums `others`.
     #[inline(always)]
     pub(super) fn add(&mut self, many: f64, others: &DesignSums<T, N, C>) {
         let many = T::splat(many);
@@ -218,7 +218,7 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         }
     }
 
-    /// What one step adds to the sums while ρ and N are constant.
+    /// The contribution of one step to the sums while ρ and N are constant.
     #[inline(always)]
     pub(super) fn rested(
         &self,

@@ -10,7 +10,7 @@ use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment};
 use crate::score::moments::Moments;
 
-/// A stretch of equal steps with its gains, which no longer change from step `moving` on.
+/// A stretch of equal steps, and the gains of the steps; from step `moving` on, the gains are constant.
 #[derive(Debug)]
 pub(crate) struct EqualStretch<'a> {
     pub(super) input: &'a BackwardInput<'a>,
@@ -20,7 +20,7 @@ pub(crate) struct EqualStretch<'a> {
     /// Number of states that move.
     pub(crate) states: usize,
     pub(crate) block: usize,
-    /// P and Ψ before each step, where they are wanted.
+    /// P and Ψ before each step, where adjoints of φ or h are wanted.
     path: Option<&'a MomentPath>,
 }
 
@@ -39,18 +39,18 @@ impl<'a> EqualStretch<'a> {
         self.stretch.rows.start + step
     }
 
-    /// Number of steps after which nothing changes any more.
+    /// Number of steps after which the gains, P and Ψ are constant.
     pub(crate) fn moving(&self) -> usize {
         self.moving
     }
 
-    /// (first step, first step after) of each block of the stretch.
+    /// (first step, first step after the block) of each block of the stretch.
     pub(crate) fn blocks(&self) -> impl DoubleEndedIterator<Item = (usize, usize)> + ExactSizeIterator + use<> {
         let (count, block) = (self.stretch.count, self.block);
         (0..count).step_by(block).map(move |from| (from, count.min(from + block)))
     }
 
-    /// The coefficients of a step for other data; `x`: x̄ of these data before the stretch.
+    /// The coefficients of a step for other data; `x`: x̄ before the stretch, with the other data.
     #[inline(always)]
     pub(crate) fn coefficients<T: Real, const N: usize>(&self, x: &[T]) -> StepCoefficients<T, N> {
         StepCoefficients::new(self.input, &self.stretch, x)
@@ -77,7 +77,7 @@ impl<'a> EqualStretch<'a> {
         Gain { own: self.weighted(step), T }
     }
 
-    /// P before a step, and before its measurement.
+    /// P before a step, and before the measurement of the step.
     #[inline(always)]
     pub(crate) fn variances<const N: usize>(&self, step: usize, (weight, K): &(f64, [f64; N])) -> PriorVariances<N> {
         let r = self.input.design.frame.r;
@@ -103,7 +103,7 @@ impl<'a> EqualStretch<'a> {
         PriorVariances { before_step, before_measurement }
     }
 
-    /// P and ΨC before a step, and before its measurement.
+    /// P and ΨC before a step, and before the measurement of the step.
     #[inline(always)]
     pub(super) fn prior<const N: usize, const C: usize>(&self, step: usize, gain: &Gain<N, C>) -> PriorMoments<N, C> {
         let load = |step: usize| {
@@ -128,7 +128,7 @@ impl<'a> EqualStretch<'a> {
     }
 }
 
-/// The forward pass over a stretch, which stores its innovations, and x̄ at the start of every block.
+/// The forward pass over a stretch; stores the innovations, and x̄ at the start of every block.
 pub(super) fn forward(input: &BackwardInput<'_>, segment: &Segment, work: &mut BackwardWork) {
     let steps = EqualStretch::new(input, segment, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
@@ -146,7 +146,7 @@ pub(super) fn forward(input: &BackwardInput<'_>, segment: &Segment, work: &mut B
     }
 }
 
-/// ΨC of the first `states` states.
+/// Sets `out` to ΨC of the first `states` states, by rows.
 #[inline]
 fn psi_times_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
     let (c, p) = (moments.columns, moments.mean.len());
@@ -183,7 +183,7 @@ impl Kernel for EqualForward<'_> {
     }
 }
 
-/// Numbers in lanes, each the same in all lanes.
+/// Each of `numbers`, repeated in all lanes.
 #[inline(always)]
 pub(super) fn splatted<T: Lanes>(numbers: &[f64]) -> Vec<T> {
     let mut own = Vec::with_capacity(numbers.len());

@@ -21,7 +21,7 @@ fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
     })
 }
 
-/// The backward pass over a stretch, if there is a kernel of its size.
+/// The backward pass over a stretch; `None` where no kernel has the size of the stretch.
 pub(super) fn kernel(input: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<SegmentPass> {
     let c = input.moments.columns;
     let known = !input.needs_covariance() || input.gains.path(stretch.rows.start).is_some();
@@ -35,22 +35,22 @@ pub(super) fn kernel(input: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option
     }
 }
 
-/// State of the backward pass over a stretch, and whether N and ρ are constant.
+/// State of the backward pass over a stretch of equal steps.
 struct EqualBackward<T, const N: usize, const C: usize> {
     step: StepCoefficients<T, N>,
     r: [T; N],
     bars: DesignAdjoint<T, N, C>,
     data: DataSums<T, N>,
     sums: DesignSums<T, N, C>,
-    /// The constant P, and what each step adds to the sums, once N and ρ are constant too.
+    /// The constant P, and the contribution of each step to the sums, once P, N and ρ are constant.
     steady: Option<(PriorVariances<N>, DesignSums<T, N, C>)>,
     /// Number of steps with constant N and ρ that are not in the sums yet.
     rested: usize,
     monitored: bool,
 }
 
-/// Writes the summed adjoints of a stretch to `measured` and `moved` of the work space, whose `now` is the filter
-/// before the stretch.
+/// Writes the summed adjoints of a stretch to `work.measured` and `work.moved`; `work.now` must be the state of the
+/// filter before the stretch.
 fn backward<const N: usize, const C: usize>(input: &BackwardInput<'_>, segment: &Segment, work: &mut BackwardWork) {
     Isa::best().alone().run(EqualPass::<N, C> { input, segment, work });
 }
@@ -114,7 +114,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
     }
 
-    /// Recomputes x̄ before each of the steps `from..to`, from `x` before the first of them.
+    /// Recomputes x̄ before each of the steps `from..to`, from x̄ = `x` before step `from`.
     #[inline(always)]
     fn recompute_means(
         &self,
@@ -130,7 +130,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
     }
 
-    /// The backward pass over the steps `from..to`; `xs`: x̄ before each.
+    /// The backward pass over the steps `from..to`; `xs`: x̄ before each of these steps.
     #[inline(always)]
     fn block(&mut self, steps: &EqualStretch<'_>, (from, to): (usize, usize), xs: &[[T; N]], work: &mut BackwardWork) {
         let e = &work.e[steps.stretch.rows.clone()];
@@ -196,7 +196,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
     }
 
-    /// Writes the adjoints of the states before the stretch, and those of its coefficients.
+    /// Writes the adjoints of the states before the stretch, and the adjoints of the coefficients of the stretch, to
+    /// `work`.
     fn finish(&self, steps: &EqualStretch<'_>, work: &mut BackwardWork) {
         let (input, sums, data, bars) = (steps.input, self.sums.one(), self.data.one(), self.bars.one());
         let r = input.design.frame.r;

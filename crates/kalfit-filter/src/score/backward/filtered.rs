@@ -78,7 +78,7 @@ pub(super) struct InitialState<'a, T, E> {
 }
 
 impl<T: Real> FilteredMoments<T> {
-    /// Begins with x̄ = a + Ax̂, P = P0 and ΨC = AC.
+    /// Sets x̄ = a + Ax̂, P = P0 and ΨC = AC.
     #[inline(always)]
     pub(super) fn begin<E: Entries<T>>(&mut self, begin: &InitialState<'_, T, E>, posterior: &PosteriorRoot<'_, T>) {
         let frame = posterior.frame;
@@ -135,7 +135,7 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// Advances over a transition with its known inputs.
+    /// Advances x̄, ΨC and P over a transition; `inputs`: b of the driven states.
     #[inline(always)]
     pub(super) fn advance<E: Entries<T>>(
         &mut self,
@@ -157,7 +157,7 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// Updates by a measurement with innovation e.
+    /// Updates x̄, ΨC and P by a measurement with innovation `e`.
     #[inline(always)]
     pub(super) fn measure<E: Entries<T>>(
         &mut self,
@@ -181,8 +181,8 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// Updates P by gains computed from P itself: those of the design may come from square-root arrays or, once
-    /// constant, from other steps, and P would drift from its true value under them.
+    /// Updates P by gains computed from P: the gains of the design may come from square-root arrays or, once constant,
+    /// from other steps, and would let P drift from the true value.
     #[inline(always)]
     fn update_covariance<E: Entries<T>>(&mut self, r: usize, line: &ScalarMeasurement<'_, T, E>) {
         let FilteredMoments { P, G, K, .. } = self;
@@ -202,7 +202,8 @@ impl BackwardInput<'_> {
         now.begin(&begin, &self.posterior());
     }
 
-    /// Updates by the measurement of a row. Its innovation is appended to `e` unless `e` already contains it.
+    /// Updates the filter by the measurement of a row. The innovation is computed and appended to `e` unless `e`
+    /// already contains the innovation of this row.
     pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut Vec<f64>) {
         let line = self.line((line, row));
         if row == e.len() {

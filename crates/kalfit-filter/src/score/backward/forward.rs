@@ -8,14 +8,14 @@ use crate::score::backward::work::{BackwardWork, MAX_SHORT_STRETCHES, Segment, S
 use crate::score::backward::{equal, equal_backward};
 
 impl BackwardInput<'_> {
-    /// Length of a stored state of the filter.
+    /// Length n + r² + n × columns of a stored state of the filter.
     pub(super) fn stride(&self) -> usize {
         let frame = &self.design.frame;
         frame.n + frame.r * frame.r + frame.n * self.moments.columns
     }
 
-    /// Runs the filter at ξ = x̂ under the gains of the design, storing its innovations, the segments, and its state at
-    /// the start of each.
+    /// Cuts the record into segments and runs the filter at ξ = x̂ under the gains of the design; stores the
+    /// innovations, and the state of the filter at the start of each segment.
     pub(crate) fn forward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         self.cut(work, sink);
         work.e.clear();
@@ -74,7 +74,7 @@ impl BackwardInput<'_> {
         }
     }
 
-    /// Runs the filter over the steps of a segment, one by one, storing its states for the backward pass.
+    /// Runs the filter over the steps of a segment, one by one, and stores the states that the backward pass reads.
     pub(super) fn forward_steps(&self, segment: &Segment, work: &mut BackwardWork) {
         let BackwardWork { e, left, before, now, .. } = work;
         left.clear();
@@ -86,8 +86,8 @@ impl BackwardInput<'_> {
         });
     }
 
-    /// Runs the filter `now` over these steps and calls `visit` at each position. `input`: index of the first known
-    /// input; `e`: the innovations known so far, to which others are appended.
+    /// Runs the filter `now` over `steps` and calls `visit` at each position. `input`: index of the first known input;
+    /// `e`: the innovations known so far, to which the missing innovations are appended.
     pub(super) fn each_position<'s>(
         &self,
         steps: impl Iterator<Item = DesignStep<'s>>,

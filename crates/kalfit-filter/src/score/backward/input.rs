@@ -13,7 +13,7 @@ pub struct AdjointsWanted {
     pub equation: bool,
 }
 
-/// Design, gains, data and moments of ξ of one test, as the pass reads them.
+/// Design, gains, data and moments of ξ of one test, all that the backward pass reads.
 #[derive(Debug, Clone, Copy)]
 pub struct BackwardInput<'a> {
     pub(crate) design: &'a Design,
@@ -21,16 +21,16 @@ pub struct BackwardInput<'a> {
     pub(crate) start: &'a [f64],
     pub(crate) inputs: &'a [f64],
     pub(crate) values: &'a [f64],
-    /// Whether all data are zero, so that the pass gives the design's part alone.
+    /// Whether all data are zero, so that the pass gives only the part of the adjoints that depends on the design.
     pub(crate) zero_data: bool,
     pub(crate) moments: &'a Moments,
-    /// Adjoints of the last state from later phases, if there are any.
+    /// Adjoints of the last state from later phases; `None` for the last phase.
     pub(crate) ending: Option<&'a TerminalAdjoint>,
     pub(crate) wanted: AdjointsWanted,
 }
 
 impl<'a> BackwardInput<'a> {
-    /// Input for the test in a work space, under the gains of its design.
+    /// Input for the test in a work space, under the gains of the design.
     pub fn of(
         (work, gains): (&'a Workspace, &'a Gains),
         (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),

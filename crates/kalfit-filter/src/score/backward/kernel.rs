@@ -1,11 +1,11 @@
-//! Backward steps on flat arrays, for one number and for lanes.
+//! Backward steps on flat arrays, for plain numbers and for lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: N, K")]
 
 use kalfit_lanes::Real;
 
 use crate::reduce::{Entries, TransitionView};
 
-/// X ← φ'X over the first rows of φ that X has. Shape: `x` rows × width; rows of φ beyond X are left out.
+/// X ← φ'X with X = `x`, rows × width; rows and columns of φ beyond the rows of X are omitted.
 #[inline(always)]
 pub(crate) fn advance_transposed<T: Real, E: Entries<T>>(
     x: &mut [T],
@@ -80,7 +80,7 @@ pub(super) fn times_phi<T: Real, E: Entries<T>>(
     }
 }
 
-/// u = e/S - K'r; `weight` is 1/S, and r is that of the reachable states.
+/// u = e/S - K'r; `weight` is 1/S, and r has the noise-reachable states only.
 #[inline(always)]
 pub(crate) fn smoothing_error<T: Real, E: Entries<T>>(e: T, (weight, K): (T, E), r: &[T]) -> T {
     let mut u = e * weight;
@@ -90,7 +90,7 @@ pub(crate) fn smoothing_error<T: Real, E: Entries<T>>(e: T, (weight, K): (T, E),
     u
 }
 
-/// X ← X + hu', with h of these states. Shape: `x` as wide as u is long.
+/// X ← X + hu', with X = `x`, n × length of u, and h zero except on `states`.
 #[inline(always)]
 pub(crate) fn absorb<T: Real, E: Entries<T>>((states, h): (&[u32], E), u: &[T], x: &mut [T]) {
     for (k, &state) in states.iter().enumerate() {

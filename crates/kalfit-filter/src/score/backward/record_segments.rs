@@ -1,4 +1,4 @@
-//! A record as segments, for passes with other data: its steps, and the P of the filter along them.
+//! The segments of a record, for passes over other data: the steps of the record, and P of the filter before them.
 
 use crate::reduce::DesignStep;
 use crate::score::backward::equal::EqualStretch;
@@ -16,7 +16,7 @@ pub(crate) enum RecordSegment<'a> {
 }
 
 /// The segments of a record, and P (r × r) before each transition (`left`) and before each scalar measurement
-/// (`before`), if adjoints that need it are wanted. A stretch of equal steps has a single entry, of zeros.
+/// (`before`), where the wanted adjoints depend on P. A stretch of equal steps has one P, of zeros.
 #[derive(Debug, Default)]
 pub(crate) struct RecordSegments<'a> {
     pub(crate) segments: Vec<RecordSegment<'a>>,
@@ -62,8 +62,8 @@ impl<'a> BackwardInput<'a> {
 }
 
 impl BackwardWork {
-    /// Representative steps of a record that was cut into segments: all steps that are handled one by one, and the
-    /// first of each stretch of equal steps.
+    /// Indices of the representative steps of a record that was cut into segments: all steps that are handled one by
+    /// one, and the first of each stretch of equal steps.
     pub(crate) fn representative_steps(&self) -> impl Iterator<Item = usize> {
         self.parts.iter().flat_map(|segment| match segment.kind {
             SegmentKind::Steps => segment.steps.0..segment.steps.1,

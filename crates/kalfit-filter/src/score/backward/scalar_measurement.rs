@@ -1,4 +1,4 @@
-//! A scalar measurement under its gains, and the root of the posterior covariance of ξ.
+//! The coefficients and gains of a scalar measurement, and the root of the posterior covariance of ξ.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, C")]
 
 use kalfit_lanes::Real;
@@ -6,12 +6,12 @@ use kalfit_lanes::Real;
 use crate::reduce::{Entries, StateFrame};
 use crate::score::backward::input::{AdjointsWanted, BackwardInput};
 
-/// A scalar measurement under its gains.
+/// The coefficients and gains of a scalar measurement.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ScalarMeasurement<'a, T, E> {
     pub(super) states: &'a [u32],
     pub(super) h: E,
-    /// R, the variance of its noise.
+    /// R, the noise variance.
     pub(super) noise: T,
     /// 1/S; 0 for a measurement without information, whose K and T are zero too.
     pub(super) weight: T,
@@ -19,7 +19,7 @@ pub(super) struct ScalarMeasurement<'a, T, E> {
     pub(super) T: E,
 }
 
-/// The states, and the root C of the posterior covariance of ξ (p × columns, by rows).
+/// The frame of the states, and the root C of the posterior covariance of ξ (p × columns, by rows).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PosteriorRoot<'a, T = f64> {
     pub(super) frame: &'a StateFrame,
@@ -35,7 +35,7 @@ impl<T: Real> PosteriorRoot<'_, T> {
         self.wanted.motion || self.wanted.equation
     }
 
-    /// TC of a scalar measurement, with `row` its T.
+    /// Sets `out` to TC of a scalar measurement with T = `row`.
     #[inline(always)]
     pub(super) fn times_root<E: Entries<T>>(&self, row: E, out: &mut Vec<T>) {
         let c = self.columns;

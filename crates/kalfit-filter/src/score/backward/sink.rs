@@ -1,8 +1,8 @@
-//! Adjoints that the backward pass computes, and what receives them.
+//! Adjoints that the backward pass computes, and the trait [`Sink`] of receivers.
 
 use std::ops::Range;
 
-/// Adjoints of the scalar measurements of one step, as in the design (whitened).
+/// Adjoints of the scalar measurements of one step, whitened as in the design.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct MeasurementAdjoint {
     /// ∂ℓ/∂R.
@@ -35,13 +35,13 @@ impl<T> Default for TransitionAdjoint<T> {
 pub(crate) trait Sink {
     /// The error that ends the pass.
     type Error;
-    /// Whether sums of the adjoints over these equal steps suffice; the sums are then given as the adjoints of the
-    /// first of these steps.
+    /// Whether sums of the adjoints over the equal steps `steps` suffice; the sums are then given as the adjoints of
+    /// the first of the steps.
     fn accepts_sums(&mut self, steps: Range<usize>) -> bool;
     /// Takes the adjoints of the measurements of step `k`.
     fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error>;
     /// Takes the adjoints of the transition to step `k`.
     fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Self::Error>;
-    /// Takes ∂ℓ/∂a (n) and ∂ℓ/∂P0 (r × r, each entry by itself).
+    /// Takes ∂ℓ/∂a (n) and ∂ℓ/∂P0 (r × r, entries taken as independent).
     fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error>;
 }

@@ -22,7 +22,7 @@ pub(crate) struct SmoothedTest {
     pub(crate) noises: Vec<Option<SmoothedNoise>>,
     /// ∂ℓ/∂a (n).
     pub(crate) mean: Vec<f64>,
-    /// ∂ℓ/∂P0 (r × r, each entry by itself).
+    /// ∂ℓ/∂P0 (r × r, entries taken as independent).
     pub(crate) variance: Vec<f64>,
 }
 
@@ -111,7 +111,7 @@ impl FilterSnapshot<'_> {
         B
     }
 
-    /// The state given all data: x̄ + Pr, and P - PNP + BB'.
+    /// Sets `out` to the moments of the state given all data: x̄ + Pr, and P - PNP + BB'.
     pub(super) fn smooth(&self, adjoint: &[f64], rho: &[f64], (N, r, c): (&[f64], usize, usize), out: &mut Smoothed) {
         let n = self.x.len();
         let B = self.smoothed_sensitivity(rho, r, c);
@@ -163,8 +163,9 @@ impl BackwardInput<'_> {
         SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
     }
 
-    /// Runs the filter at ξ = x̂ step by step, and calls `visit` with its state before the measurements of a step
-    /// (`false`) and after them (`true`). `e`: the innovations from the data pass. `wanted.motion` must be set.
+    /// Runs the filter at ξ = x̂ step by step, and calls `visit` with the state of the filter before the measurements
+    /// of a step (`false`) and after them (`true`). `e`: the innovations from the data pass. `wanted.motion` must be
+    /// set.
     pub fn filtered_states(
         &self,
         work: &mut BackwardWork,
@@ -180,8 +181,8 @@ impl BackwardInput<'_> {
         });
     }
 
-    /// Runs the filter at ξ = x̂, storing its state at the start and after each step (`ends`), and before each
-    /// transition (`left`).
+    /// Runs the filter at ξ = x̂ and stores the state of the filter at the start and after each step (`ends`), and
+    /// before each transition (`left`).
     fn forward_storing_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
         let BackwardWork { e, now, .. } = work;
         e.clear();

@@ -44,8 +44,7 @@ fn design(numbers: &Numbers) -> (Design, Data) {
     part(numbers, 0..STEPS, sensitivity)
 }
 
-/// Some of the steps as a test by themselves, with these sensitivities to the unknowns; the known start belongs to step
-/// 0.
+/// A test of some of the steps, with the given sensitivities to the unknowns; the known start belongs to step 0.
 fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Design, Data) {
     let mut pattern = Pattern::default();
     pattern.push(0, 2, [0, 1, 3].into_iter());
@@ -370,7 +369,7 @@ impl AllAdjoints {
 struct Totals {
     ends: Vec<usize>,
     takes_sums: bool,
-    /// [R̄, z̄, h̄, φ̄, Q̄] of each stretch, each line by itself.
+    /// [R̄, z̄, h̄, φ̄, Q̄] of each stretch, with the adjoints of each line separate.
     bars: std::collections::BTreeMap<usize, [Vec<f64>; 5]>,
     start: Vec<f64>,
 }

@@ -11,14 +11,15 @@ use crate::score::backward::sink::{MeasurementAdjoint, TransitionAdjoint};
 pub(super) struct SegmentLengths {
     /// Number of steps from one stored state of the forward filter to the next.
     pub(super) block: usize,
-    /// Largest number of equal steps that do not get a segment of their own.
+    /// Largest number of equal steps that are not made a separate segment.
     pub(super) few: usize,
-    /// The same limit after the first [`MAX_SHORT_STRETCHES`] such segments, as each of them stores a state of the
-    /// filter.
+    /// The limit in place of `few` after [`MAX_SHORT_STRETCHES`] segments of equal steps, as each segment stores a
+    /// state of the filter.
     pub(super) short: usize,
 }
 
-/// Number of stretches of a record, counted from its start, that get a segment of their own although they are short.
+/// Number of segments of equal steps, counted from the start of a record, up to which the limit [`SegmentLengths::few`]
+/// applies.
 pub(super) const MAX_SHORT_STRETCHES: usize = 64;
 
 impl Default for SegmentLengths {
@@ -34,8 +35,8 @@ pub struct BackwardWork {
     /// ē of each scalar measurement.
     pub(super) e: Vec<f64>,
     pub(super) parts: Vec<Segment>,
-    /// States of the forward filter at the start of each segment, as [`FilteredMoments::save`] writes them; x̄ alone at
-    /// the blocks within segments of equal steps.
+    /// States of the forward filter at the start of each segment, as [`FilteredMoments::save`] writes them; within
+    /// segments of equal steps, x̄ alone at the start of each block.
     pub(super) marks: Vec<f64>,
     /// States of the forward filter within one segment, before each transition (`left`) and before each measurement
     /// (`before`).
@@ -60,9 +61,9 @@ impl BackwardWork {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Segment {
     pub(super) kind: SegmentKind,
-    /// Numbers of the first step, and of the first step after the segment.
+    /// Indices of the first step, and of the first step after the segment.
     pub(super) steps: (usize, usize),
-    /// The stretch of the first step, and the number of that step in the stretch (`skip`).
+    /// Index of the stretch of the first step (`stretch`), and index of the first step in this stretch (`skip`).
     pub(super) stretch: usize,
     pub(super) skip: usize,
     /// Index of the first known input.

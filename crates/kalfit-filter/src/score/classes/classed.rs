@@ -3,14 +3,15 @@
 use crate::reduce::{PhaseReplicates, PhasedReducer, Replicates};
 use kalfit_model::PhasedTest;
 
-/// Fewest tests of a class: for fewer, writing the chain rule as factors does not pay.
+/// Smallest number of tests of a class: for fewer tests, writing the chain rule as factors does not pay.
 const MIN_CLASS_TESTS: usize = 16;
-/// Fewest rows of a long test, of which two are enough for a class.
+/// Smallest number of rows of a long test; two long tests are enough for a class.
 pub(super) const MIN_LONG_ROWS: usize = 1 << 10;
-/// Fewest rows per stretch of equal steps, on average, in a long test.
+/// Smallest average number of rows per stretch of equal steps in a long test.
 const MIN_ROWS_PER_STRETCH: usize = 16;
 
-/// Classes of tests that are replicates in all of these phases, where a class has enough tests.
+/// Classes of tests that are replicates in all `phases`; each class has at least [`MIN_CLASS_TESTS`] tests, or long
+/// tests.
 pub(crate) fn classes_of(reducer: &PhasedReducer, tests: &[PhasedTest], phases: &[PhaseReplicates]) -> Replicates {
     let is_enough = |class: &[usize]| class.len() >= MIN_CLASS_TESTS || is_long(reducer, &tests[class[0]]);
     PhaseReplicates::in_all(phases, tests).retain(is_enough)

@@ -1,5 +1,5 @@
-//! The data-dependent part of the backward pass of tests that share all else, a test in each lane. For steps one by
-//! one:
+//! The data-dependent part of the backward pass of tests that differ in their data only, one test in each lane. The
+//! equations of one step are:
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
@@ -19,14 +19,14 @@ use crate::score::classes::equal::EqualDataBackward;
 use crate::score::pullback::{PullbackFactors, ResponseEntry};
 use kalfit_model::Test;
 
-/// What the tests of a class share.
+/// The design, gains and segments that the tests of a class share.
 #[derive(Debug)]
 pub(super) struct ClassShared<'a> {
     pub(super) design: &'a Design,
     pub(super) gains: &'a Gains,
     pub(super) start: &'a [f64],
     pub(super) inputs: &'a [f64],
-    /// Cell and d of each scalar measurement.
+    /// (index of the measured cell, d) of each scalar measurement.
     pub(super) cells: &'a [(usize, f64)],
     pub(super) record: &'a RecordSegments<'a>,
     pub(super) wanted: AdjointsWanted,
@@ -34,17 +34,17 @@ pub(super) struct ClassShared<'a> {
     pub(super) response: &'a PullbackFactors,
 }
 
-/// One test of a class, with what is specific to it.
+/// One test of a class, with the x̂ and r of this test.
 #[derive(Debug, Clone)]
 pub(crate) struct ClassMember<'a> {
     pub(crate) test: &'a Test,
-    /// x̂ of ξ, in the order of the kernels.
+    /// x̂, p values, in the order of the kernels.
     pub(crate) mean: Vec<f64>,
     /// r after the last step, from later phases; empty where none follow.
     pub(crate) ending: Vec<f64>,
 }
 
-/// Computes Σ factor × adjoint of each test: one number for each slot of the chain rule, one test after the other.
+/// Computes Σ factor × adjoint of each test: tests × slots of the chain rule, by rows.
 pub(super) struct DataBackward<'a> {
     pub(super) shared: &'a ClassShared<'a>,
     pub(super) tests: &'a [ClassMember<'a>],
@@ -93,7 +93,7 @@ struct DataBackwardState<T> {
     sums: Vec<T>,
 }
 
-/// Numbers of the next measurement and the next transition among those of the representative steps.
+/// Index of the next measurement, and index of the next transition, counted over the representative steps.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cursor {
     row: usize,
@@ -208,7 +208,7 @@ impl<T: Lanes> DataBackwardState<T> {
         Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, equal.block)) }.run(equal.states);
     }
 
-    /// The backward pass, from r of the last state to x_0.
+    /// The backward pass, from r of the last state to r of x_0.
     #[inline(always)]
     fn back(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         for i in 0..self.x.len() {
@@ -351,7 +351,7 @@ impl<T: Lanes> DataBackwardState<T> {
         }
     }
 
-    /// x̄ + Pr of one state; `P`: its row of P if the state is noisy.
+    /// x̄ + Pr of one state; `P`: the row of P of this state, if the state is noisy.
     #[inline(always)]
     fn smoothed(&self, x: T, P: Option<&[f64]>) -> T {
         let mut smoothed = x;

@@ -5,7 +5,7 @@ use kalfit_lanes::{Lanes, Part};
 use crate::reduce::at;
 use crate::score::backward::{DataSums, EqualStretch};
 
-/// The backward pass over equal steps, from r after them to r before them.
+/// The backward pass over equal steps, from r after the steps to r before the steps.
 pub(super) struct EqualDataBackward<'a, T, const N: usize> {
     pub(super) stretch: &'a EqualStretch<'a>,
     /// x̄ of all states before the steps.

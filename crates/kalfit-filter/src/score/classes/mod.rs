@@ -2,7 +2,7 @@
 //!
 //! A score is quadratic in the data, and the chain rule is linear in the adjoints. The part that depends on no data is
 //! therefore computed once for all tests, with data of zero, and the chain rule is written once as a list of factors.
-//! Each test then needs only the pass of its data, in lanes: x̄ forward, u and r backward.
+//! Each test then needs only the passes over the data of the test, in lanes: x̄ forward, u and r backward.
 //!
 //! ```text
 //! alike tests ─┬─ one of them, data zero ── backward ── pullback ──> the design's part of dℓ/dα
@@ -27,18 +27,19 @@ use data_backward::{ClassShared, DataBackward};
 pub(crate) use classed::classes_of;
 pub(crate) use data_backward::ClassMember;
 
-/// Most numbers that are stored per test for the steps that are passed one by one.
+/// Largest number of values that are stored per test for the steps that are passed one by one.
 const MAX_STORED_NUMBERS: usize = 1 << 16;
-/// Most numbers in all stored matrices P.
+/// Largest number of entries of all stored matrices P together.
 const MAX_COVARIANCE_NUMBERS: usize = 1 << 20;
-/// Most measurements of a test, as their innovations are stored for each lane.
+/// Largest number of measurements of a test of a class, as all innovations are stored for each lane.
 const MAX_ROWS: usize = 1 << 23;
-/// Number of tests that one thread processes at a time; for long tests, it is the number of lanes.
+/// Number of tests that one thread processes at a time; for long tests, one thread processes as many tests as there are
+/// lanes.
 const TESTS_PER_TASK: usize = 256;
 
 impl Scorer<'_> {
-    /// dℓ_j/dα of the tests of a class. `shared`: moments of ξ, and adjoints of the last state from later phases, which
-    /// differ between the tests only in the means and in r. `None` where there is nothing to gain, or where the tests
+    /// dℓ_j/dα of the tests of a class. `shared`: moments of ξ, and adjoints of the last state from later phases, both
+    /// of which differ between the tests only in x̂ and r. `None` where one pass would save nothing, or where the tests
     /// must be scored one by one.
     pub(crate) fn score_class(
         &self,
@@ -145,7 +146,8 @@ fn data_parts(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradie
     }
 }
 
-/// The score of each test: its data-dependent part plus the design's part. `None` where a score is not finite.
+/// The score of each test: the data-dependent part `data` plus the part `design`, which all tests share. `None` where a
+/// score is not finite.
 fn sums(mut data: Vec<Gradient>, design: &Gradient) -> Option<Vec<Gradient>> {
     data.iter_mut().for_each(|own| add(own, design));
     data.iter().flatten().all(|(_, x)| x.is_finite()).then_some(data)

@@ -19,12 +19,12 @@ use kalfit_model::Test;
 /// Place of a test that is not requested.
 const NOT_REQUESTED: usize = usize::MAX;
 
-/// (lane, place of its test among those requested, smoother result from which its pass starts).
+/// (lane, place of the lane's test among the requested tests, smoother result from which the backward pass starts).
 type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
 
 impl PhasedScorer<'_> {
-    /// Gradients through one phase of those tests of `numbers` that are in its batches, each with its place in
-    /// `numbers`; tests with an error are left out.
+    /// (place, gradient through phase `at`) of each test of `numbers` that is in a batch of the phase, with the place
+    /// of the test in `numbers`; tests with an error are omitted.
     pub(super) fn in_batches(
         &self,
         at: usize,
@@ -64,7 +64,7 @@ impl Scorer<'_> {
             true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),
         };
-        // lanes of tests that are not requested get a copy and are not read
+        // lanes of tests that are not requested get a copy of the first moments, and are not read
         let mut moments: Vec<&Moments> = vec![&padded[0]; batch.layout.tests.len()];
         own.iter().zip(&padded).for_each(|(&(lane, ..), padded)| moments[lane] = padded);
         let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);

@@ -11,10 +11,10 @@ use crate::score::pullback::{Gradient, add};
 use crate::score::smoother::SmoothedPhase;
 use kalfit_model::PhasedTest;
 
-/// Number of tests for which one thread prepares the start at a time.
+/// Number of tests whose starts one thread prepares at a time.
 const TESTS_PER_TASK: usize = 64;
 
-/// (number of the test, its score).
+/// (index of a test, score of the test).
 pub(super) type Score = (usize, Result<Gradient, ReduceError>);
 
 /// An ensemble under a law of ξ.
@@ -24,18 +24,19 @@ pub(super) struct ScoredEnsemble<'a> {
     pub(super) reductions: &'a Reductions,
     pub(super) law: &'a InitialLaw,
     pub(super) plans: &'a Plans,
-    /// Batches of tests after their filters.
+    /// Batches of tests that the filters have passed.
     pub(super) filtered: Option<&'a FilteredPhases>,
 }
 
-/// What the score of one test of a class starts from: x̂ and r of each phase, and the gradient through the carries.
+/// The start of the score of one test of a class: (x̂, r of the last state) of each phase, and the gradient through the
+/// carries.
 struct MemberStart {
     phases: Vec<(Vec<f64>, Vec<f64>)>,
     carry_gradient: Gradient,
 }
 
 impl PhasedScorer<'_> {
-    /// Scores of the tests of a class; one by one where the tests are identical in their rows only.
+    /// Scores of the tests of a class, in one pass where that is possible, otherwise one by one.
     pub(super) fn score_class(
         &self,
         of: ScoredEnsemble<'_>,
@@ -49,8 +50,8 @@ impl PhasedScorer<'_> {
         }
     }
 
-    /// Scores of a class in one pass; `None` where there is nothing to gain, or where the tests must be scored one by
-    /// one.
+    /// Scores of a class in one pass; `None` where one pass would save nothing, or where the tests must be scored one
+    /// by one.
     pub(super) fn together(
         &self,
         of: ScoredEnsemble<'_>,
@@ -96,7 +97,8 @@ impl PhasedScorer<'_> {
         Ok(Some(scores))
     }
 
-    /// The start of a test's score; `None` where the test differs in more than that from the first of its class.
+    /// The start of the score of a test; `None` where the smoother results of the test and of the first test of the
+    /// class differ in more than the data-dependent part.
     fn member_start(
         &self,
         of: ScoredEnsemble<'_>,
@@ -125,7 +127,7 @@ impl PhasedScorer<'_> {
 }
 
 impl SmoothedPhase {
-    /// Whether everything that does not depend on the data is equal bit for bit.
+    /// Whether the data-independent parts of both results are equal bit for bit.
     fn same_design(&self, other: &SmoothedPhase) -> bool {
         let later = match (&self.later, &other.later) {
             (Some(a), Some(b)) => {

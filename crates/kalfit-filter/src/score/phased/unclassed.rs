@@ -1,4 +1,4 @@
-//! Scores of tests that are in no class, phase by phase: in lanes for tests in batches, one by one for the others.
+//! Scores of tests that are in no class, phase by phase: in lanes for tests in batches, one by one for all other tests.
 
 use rayon::prelude::*;
 
@@ -11,11 +11,11 @@ use crate::score::smoother::SmoothedPhase;
 /// The parts of one test's score that are known so far.
 #[derive(Debug, Default)]
 pub(super) struct TestScore {
-    /// Results of the smoother for each phase, from which its passes start.
+    /// Results of the smoother for each phase, from which the passes over the phase start.
     pub(super) phases: Vec<SmoothedPhase>,
-    /// Gradient through each phase; the last entry is that through the carries.
+    /// Gradient through each phase, then the gradient through the carries.
     parts: Vec<Gradient>,
-    /// The error of the first phase that has one.
+    /// The error of the first phase that failed; `None` where no phase has failed.
     error: Option<ReduceError>,
 }
 
@@ -39,7 +39,7 @@ impl TestScore {
 }
 
 impl PhasedScorer<'_> {
-    /// The scores of the tests with these numbers.
+    /// The scores of the tests with the indices `numbers`.
     pub(super) fn score_unclassed(&self, of: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
         let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.start_test(of, number, room);
         let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
@@ -74,7 +74,7 @@ impl PhasedScorer<'_> {
         known
     }
 
-    /// Gradients through one phase, test by test, of the tests at `places` in `numbers`; each with its place.
+    /// (place, gradient through phase `at`) of each test at `places` in `numbers`, computed test by test.
     fn score_one_by_one(
         &self,
         at: usize,

@@ -1,4 +1,4 @@
-//! The accumulator of one test's adjoints, the adjoints of its start, and the resulting dℓ/dα.
+//! The accumulator of the adjoints of one test, the pullback of the start of the test, and the resulting dℓ/dα.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::score::pullback::taps::{CellRead, Gradient, Pending};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
-/// Accumulator of the adjoints of one test, from its last step to its first, for dℓ/dα.
+/// Accumulator of the adjoints of one test, from the last step of the test to the first, for dℓ/dα.
 #[derive(Debug)]
 pub(crate) struct Adjoints<'a> {
     pub(super) pullback: &'a Pullback<'a>,
@@ -25,10 +25,10 @@ pub(crate) struct Adjoints<'a> {
 #[derive(Debug, Clone)]
 pub(super) struct TransitionSums {
     pub(super) groups: Groups,
-    /// Numbers of entries of φ and of Q.
+    /// (number of entries of φ, number of entries of Q).
     pub(super) entries: (usize, usize),
     pub(super) cells: GatheredCells,
-    /// Scratch for the sums of one group, and for the adjoints of its coefficients.
+    /// Scratch for the sums of one group, and for the adjoints of the coefficients of the group.
     pub(super) sums: Vec<f64>,
     pub(super) bars: Vec<f64>,
     pub(super) flows: Vec<f64>,
@@ -60,7 +60,7 @@ impl TransitionSums {
 }
 
 impl Pullback<'_> {
-    /// An accumulator, for one test after the other.
+    /// An empty accumulator, to be used for one test after the other.
     pub(crate) fn adjoints(&self) -> Adjoints<'_> {
         Adjoints {
             pullback: self,
@@ -74,8 +74,8 @@ impl Pullback<'_> {
 }
 
 impl Adjoints<'_> {
-    /// Whether the coefficients of these equal steps of one measurement depend on the free values in the same way, so
-    /// that the sums of their adjoints, taken as those of the first step, give the same gradient.
+    /// Whether the coefficients of `steps`, equal steps of one measurement each, depend on the free values in one way,
+    /// so that the sums of the adjoints can be taken as the adjoints of the first step without changing the gradient.
     pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
         let pullback = self.pullback;
         let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
@@ -98,8 +98,8 @@ impl Adjoints<'_> {
     }
 
     /// Takes the adjoints of the start of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into
-    /// `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`: ∂ℓ/∂P0, r × r, symmetric, the derivative to each
-    /// entry by itself. Neither is read unless `Pullback::needs_start`.
+    /// `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`: ∂ℓ/∂P0, r × r, symmetric, with the entries of P0
+    /// taken as independent. `mean` and `variance` are not read unless `Pullback::needs_start`.
     pub(crate) fn started(
         &mut self,
         test: &Test,
@@ -123,8 +123,8 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// Takes the adjoints of the start of a test whose stationary law was evaluated on `settled`, and whose law of x_0
-    /// on `starting`.
+    /// Takes the adjoints of the start of a test; `settled`: scope of the stationary law; `starting`: scope of the law
+    /// of x_0.
     pub(super) fn started_at(
         &mut self,
         (settled, starting): (&Scope<'_>, &Scope<'_>),

@@ -1,4 +1,4 @@
-//! The chain rule of tests in lanes: their adjoints are summed column by column.
+//! The chain rule of tests in lanes: the adjoints of the tests are summed column by column.
 
 use kalfit_lanes::{Kernel, Lanes};
 
@@ -14,12 +14,13 @@ use kalfit_model::Test;
 /// The adjoints of coefficients, in lanes.
 #[derive(Debug)]
 pub(crate) struct Pulled {
-    /// Adjoint of each tap, summed over the test.
+    /// Adjoint of each tap, summed over a test; taps × lanes, by rows.
     sums: Vec<f64>,
-    /// (slot, adjoint at each transition) of the coefficients of the motion, and of its inputs, whose tap reads cells.
+    /// (slot, adjoint at each transition, in lanes) of the coefficients of the motion (`values`), and of the known
+    /// inputs of the motion (`inputs`), whose taps read cells.
     values: Vec<(usize, Vec<f64>)>,
     inputs: Vec<(usize, Vec<f64>)>,
-    /// Adjoints of the free covariances of measurements.
+    /// Adjoints of the noise covariances that depend on free values.
     pairs: Vec<PairBar>,
 }
 
@@ -31,8 +32,8 @@ struct Pull<'a> {
 }
 
 impl Pullback<'_> {
-    /// From the adjoints of a block to those of the coefficients that depend on free values. The adjoints of the
-    /// measurements in `bars` become those before whitening.
+    /// The adjoints of the coefficients that depend on free values, from the adjoints `bars` of a block. The adjoints
+    /// of the measurements in `bars` are replaced by the adjoints before whitening.
     pub(crate) fn pull(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Pulled {
         let pairs = if self.pairs.is_empty() { Vec::new() } else { self.unwhiten(block, tests, bars) };
         let steps = (&block.layout.transitions, &block.values.motion);
@@ -41,7 +42,7 @@ impl Pullback<'_> {
         Pulled { pairs, ..pulled }
     }
 
-    /// (slot, tap) of the coefficients, or inputs, of the motion whose tap reads cells.
+    /// (slot, tap) of each of the coefficients or known inputs of the motion whose tap reads cells.
     fn columns<'s>(&'s self, taps: &'s [Option<usize>]) -> impl Iterator<Item = (usize, usize)> + 's {
         taps.iter().enumerate().filter_map(|(slot, tap)| Some((slot, (*tap)?))).filter(|&(_, tap)| self.reads(tap))
     }
@@ -93,7 +94,7 @@ impl Kernel for Pull<'_> {
 }
 
 impl Pull<'_> {
-    /// Adds the adjoints of the measurements to the sums of their taps.
+    /// Adds the adjoints of the measurements to the sums of the taps of R, d and h.
     #[inline(always)]
     fn measured<T: Lanes>(&self, sums: &mut [T]) {
         let (layout, (rows, width)) = (self.block.layout, self.bars.rows());
@@ -170,7 +171,7 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// Adds the adjoints of the measurements' coefficients that read cells.
+    /// Adds the adjoints of the coefficients of measurements whose expressions read cells.
     fn rows(
         &mut self,
         (block, bars): (FilteredBatch<'_>, &BatchAdjoints),

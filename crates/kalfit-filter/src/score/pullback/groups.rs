@@ -1,4 +1,4 @@
-//! Groups of steps with the same transition, whose adjoints are summed so that they go back through the matrix
+//! Groups of steps with the same transition, whose adjoints are summed so that each group goes back through the matrix
 //! exponential only once.
 
 use std::collections::HashMap;
@@ -8,22 +8,22 @@ use crate::reduce::Transition;
 use crate::score::pullback::taps::CellRead;
 use kalfit_model::Scope;
 
-/// Most groups, one for each distinct transition; when there are as many, their sums are passed on and they are
-/// cleared.
+/// Largest number of groups, one for each distinct transition; when it is reached, the sums are passed on and the
+/// groups are cleared.
 const MAX_GROUPS: usize = 1024;
 
-/// The groups of a test so far.
+/// The groups of the transitions of a test that were seen so far.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Groups {
-    /// Length of the sums of one group, and of its flows.
+    /// (length of the sums of one group, length of the flows of one group).
     sizes: (usize, usize),
     last: Option<(Arc<Transition>, usize)>,
     known: HashMap<Vec<u64>, usize>,
-    /// A step of each group.
+    /// Index of the step with which each group was added.
     pub(super) steps: Vec<usize>,
     sums: Vec<f64>,
     flows: Vec<f64>,
-    /// Cells of the last group; `key` is scratch.
+    /// Bits of the cells of the group that was used last (`cells`), and scratch (`key`).
     cells: Vec<u64>,
     key: Vec<u64>,
 }
@@ -33,8 +33,8 @@ impl Groups {
         Groups { sizes: (sums, flows), ..Groups::default() }
     }
 
-    /// The group of a step, if it is that of the last step seen. `reads`: cells that coefficients with free values
-    /// read.
+    /// The group that was used last, if a step with this transition and scope belongs to the group; otherwise `None`.
+    /// `reads`: cells that coefficients with free values read.
     #[inline]
     pub(super) fn last_group(
         &self,
@@ -47,8 +47,8 @@ impl Groups {
         (Arc::ptr_eq(known, transition) && (reads.is_empty() || scope.is_some_and(same))).then_some(*group)
     }
 
-    /// The group of a step, and whether it is new. Transitions are distinguished by the values they are `made` from and
-    /// by the cells, not by address: which transitions share memory depends on other tests.
+    /// The group of a step, and whether it is new. Transitions are distinguished by the values `made`, which they are
+    /// computed from, and by the cells, not by address: whether two transitions share memory depends on other tests.
     pub(super) fn find(
         &mut self,
         (transition, k): (&Arc<Transition>, usize),
@@ -75,7 +75,7 @@ impl Groups {
         (group, group == next)
     }
 
-    /// Whether the groups must be settled before another one is added.
+    /// Whether the sums of the groups must be passed on before another group is added.
     pub(super) fn is_full(&self) -> bool {
         self.steps.len() >= MAX_GROUPS
     }

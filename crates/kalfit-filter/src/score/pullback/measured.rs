@@ -59,7 +59,8 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// Takes the adjoints back through the whitening of a step; false if its noises are not correlated.
+    /// Takes the adjoints back through the whitening of step `k`; returns false if no noises of the step are
+    /// correlated.
     fn correlated(
         &mut self,
         test: &Test,

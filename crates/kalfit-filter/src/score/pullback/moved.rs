@@ -39,7 +39,7 @@ impl Adjoints<'_> {
         if bars.input.is_empty() { Ok(()) } else { self.driven(test, k, work, group, &bars.input) }
     }
 
-    /// The group of the step, if it is that of the last step seen.
+    /// The group that was used last, if step `k` belongs to this group; otherwise `None`.
     #[inline]
     fn last_group(
         &mut self,
@@ -56,7 +56,7 @@ impl Adjoints<'_> {
         Ok(moving.groups.last_group(transition, &pullback.reads, Some(&scope)))
     }
 
-    /// The cells that coefficients with free values read for the transition to step `k`.
+    /// Bits of the cells that coefficients with free values read for the transition to step `k`.
     pub(super) fn cells(&mut self, test: &Test, k: usize, work: &Workspace) -> Result<Vec<u64>, Box<Fault>> {
         let Adjoints { pullback, moving, .. } = self;
         if pullback.reads.is_empty() {
@@ -66,7 +66,7 @@ impl Adjoints<'_> {
         Ok(pullback.reads.iter().map(|read| read.bits(&scope)).collect())
     }
 
-    /// The group of the step, which is added if it is new.
+    /// The group of step `k`, which is added if there is none.
     fn find_or_add_group(
         &mut self,
         transition: &Arc<Transition>,

@@ -1,5 +1,5 @@
 //! The response of the free values to the adjoints of a test: the chain rule of a design as a list of factors, found by
-//! setting each adjoint in turn to one and the others to zero.
+//! setting each adjoint in turn to one and all other adjoints to zero.
 //!
 //! ```text
 //! dℓ/dα = Σ over the adjoints of steps and start of factor × adjoint
@@ -15,10 +15,10 @@ use crate::score::pullback::adjoints::Adjoints;
 use crate::score::pullback::taps::Gradient;
 use kalfit_model::Test;
 
-/// Range of factors: the first, and the first after it.
+/// Range of indices of factors: (first, first after the range).
 pub(crate) type FactorSpan = (u32, u32);
 
-/// The response to one adjoint of a matrix or of a list.
+/// The response to the adjoint of one entry of a matrix or of a list.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ResponseEntry {
     /// Row, or index in the list.
@@ -80,7 +80,7 @@ impl PullbackFactors {
         &self.entries[range.clone()]
     }
 
-    /// Replaces slots by their indices into `slots`.
+    /// Replaces the slot of each factor by the index of the slot in `slots`.
     fn index_slots(mut self) -> PullbackFactors {
         let mut slots: Vec<usize> = self.factors.iter().map(|&(slot, _)| slot as usize).collect();
         slots.sort_unstable();
@@ -92,7 +92,8 @@ impl PullbackFactors {
     }
 }
 
-/// What the response to one transition depends on: its address, and the cells that free coefficients read.
+/// Key of the response to one transition: the address of the transition, and the bits of the cells that coefficients
+/// with free values read.
 type MoveKey = (usize, Vec<u64>);
 
 struct PullbackProbe<'a, 'b> {
@@ -104,11 +105,11 @@ struct PullbackProbe<'a, 'b> {
 }
 
 impl Adjoints<'_> {
-    /// The response to the adjoints of these steps, ascending, and of the start of the test in the work space, after
-    /// [`Preparer::prepare`](crate::reduce::Preparer::prepare).
+    /// The response to the adjoints of `steps`, in ascending order, and of the start of the test in the work space,
+    /// after [`Preparer::prepare`](crate::reduce::Preparer::prepare).
     ///
     /// # Errors
-    /// A derivative that is not finite, though the gradient may exist where the adjoint is zero.
+    /// A derivative is not finite, although the gradient may be finite, where the adjoint is zero.
     pub(crate) fn response(
         &mut self,
         (test, work): (&Test, &Workspace),
@@ -150,7 +151,7 @@ impl PullbackProbe<'_, '_> {
         self.start()
     }
 
-    /// Stores the response to the adjoints that were given, and returns its factors.
+    /// Stores the response to the adjoints that were given, and returns the span of the factors.
     fn store_factors(&mut self) -> Result<FactorSpan, Box<Fault>> {
         let gradient: Gradient = self.adjoints.finish(self.test, self.work)?;
         let from = self.response.factors.len() as u32;
@@ -158,7 +159,7 @@ impl PullbackProbe<'_, '_> {
         Ok((from, self.response.factors.len() as u32))
     }
 
-    /// Stores the response as an entry, unless it is empty.
+    /// Stores the response as the entry (i, j), unless the response is empty.
     fn store_entry(&mut self, (i, j): (usize, usize)) -> Result<(), Box<Fault>> {
         let span = self.store_factors()?;
         if span.0 < span.1 {
@@ -220,7 +221,7 @@ impl PullbackProbe<'_, '_> {
         self.store_entry(at)
     }
 
-    /// The response to one scalar measurement: number `place` of the `many` measurements of step `k`.
+    /// The response to one scalar measurement: index `place` among the `many` measurements of step `k`.
     fn measurement(&mut self, k: usize, place: usize, many: usize, row: usize) -> Result<RowResponse, Box<Fault>> {
         let n = self.work.design.frame.n;
         let pullback = self.adjoints.pullback;

@@ -1,4 +1,5 @@
-//! Taps, the coefficients that depend on free values of α; their adjoints, and the dℓ/dα that these add up to.
+//! Taps, the coefficients that depend on free values of α; the adjoints of the taps, and dℓ/dα computed from these
+//! adjoints.
 
 use crate::reduce::{Coefficient, Fault, ModelAt, ReduceErrorKind, Subject, Uses};
 use kalfit_model::Label;
@@ -41,7 +42,7 @@ struct FreeCoefficient {
     expression: Expression,
     subject: Subject,
     reads: Vec<CellRead>,
-    /// Index of its first cell in [`Pending::cells`].
+    /// Index of the first cell of this coefficient in [`Pending::cells`].
     start: usize,
 }
 
@@ -53,7 +54,8 @@ pub(super) struct FreeCoefficients {
 }
 
 impl FreeCoefficients {
-    /// Adds a tap for the coefficient and returns its index, if the coefficient depends on free values.
+    /// Adds a tap for the coefficient and returns the index of the tap; `None` where the coefficient depends on no free
+    /// value.
     pub(super) fn add(&mut self, at: &ModelAt<'_>, coefficient: &Coefficient) -> Option<usize> {
         let (expression, subject) = coefficient.source().filter(|(expression, _)| at.depends(expression))?;
         let reads = reads(expression, at.alpha);
@@ -67,7 +69,7 @@ impl FreeCoefficients {
         self.taps.len()
     }
 
-    /// Cells that any of the coefficients reads, each once.
+    /// All cells that the coefficients read, sorted, without duplicates.
     pub(super) fn all_reads(&self) -> Vec<CellRead> {
         let mut reads: Vec<CellRead> = self.taps.iter().flat_map(|tap| &tap.reads).copied().collect();
         reads.sort_unstable();
@@ -92,8 +94,8 @@ fn reads(expression: &Expression, alpha: &Alpha) -> Vec<CellRead> {
     reads
 }
 
-/// Adjoints that have not gone through their expressions yet. Those of one coefficient on equal cells are summed, and
-/// go through it once.
+/// Adjoints that have not gone through the expressions of their coefficients yet. The adjoints of one coefficient on
+/// equal cells are summed, and the sum goes through the expression once.
 #[derive(Debug, Clone)]
 pub(super) struct Pending {
     seeds: Vec<f64>,
@@ -112,7 +114,7 @@ struct Row {
     texts: Vec<Label>,
 }
 
-/// Sums by slot, with a list of the few slots that have one.
+/// Sums by slot, with a list of the few slots that have a sum.
 #[derive(Debug, Clone)]
 struct SlotSums {
     sums: Vec<f64>,
@@ -136,7 +138,7 @@ impl Pending {
         }
     }
 
-    /// Adds ∂ℓ/∂coefficient of one row.
+    /// Adds `seed` = ∂ℓ/∂coefficient of one row to the pending sum of the coefficient `tap`.
     #[inline]
     pub(super) fn add(
         &mut self,
@@ -163,7 +165,7 @@ impl Pending {
         Ok(())
     }
 
-    /// Takes the pending sum of a coefficient through its expression.
+    /// Takes the pending sum of a coefficient through the expression of the coefficient.
     fn flush(&mut self, context: &Context<'_>, tap: usize) -> Result<(), Box<Fault>> {
         let seed = std::mem::take(&mut self.seeds[tap]);
         if !std::mem::take(&mut self.has_sum[tap]) {
@@ -192,7 +194,7 @@ impl Pending {
         context.at.finite(done, *subject).map(|_| ())
     }
 
-    /// Returns the gradient; nothing is pending after it.
+    /// Takes all pending sums through the expressions, and returns the gradient.
     pub(super) fn finish(&mut self, context: &Context<'_>) -> Result<Gradient, Box<Fault>> {
         (0..self.seeds.len()).try_for_each(|tap| self.flush(context, tap))?;
         let gradient = self.slot_sums.take();

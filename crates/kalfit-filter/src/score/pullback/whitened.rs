@@ -1,5 +1,4 @@
-//! Correlated measurements of tests in lanes: from the adjoints of the whitened measurements to those of the
-//! measurements themselves.
+//! Correlated measurements of tests in lanes: from the adjoints after whitening to the adjoints before whitening.
 
 use crate::reduce::{Fault, FilteredBatch, Instance, Unwhitened};
 use crate::score::backward::BatchAdjoints;
@@ -11,15 +10,15 @@ use kalfit_model::Test;
 pub(super) struct PairBar {
     pub(super) lane: usize,
     pub(super) tap: usize,
-    /// Row of the test on which the covariance was evaluated, and the length of its step.
+    /// Row of the test on which the covariance was evaluated (`row`), and length of the step of this row (`dt`).
     pub(super) row: usize,
     pub(super) dt: f64,
     pub(super) bar: f64,
 }
 
 impl Pullback<'_> {
-    /// Replaces the adjoints of the whitened measurements of a block by those of the measurements themselves; returns
-    /// the adjoints of their free covariances.
+    /// Replaces the adjoints of the measurements of a block after whitening by the adjoints before whitening; returns
+    /// the adjoints of the noise covariances that depend on free values.
     pub(super) fn unwhiten(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Vec<PairBar> {
         let (mut pairs, mut back) = (Vec::new(), Unwhitened::default());
         for (lane, number) in block.tests() {

@@ -12,27 +12,30 @@ use kalfit_model::unpack;
 #[derive(Debug, Clone)]
 pub struct SmootherPlan {
     pub(super) phases: Vec<PhasePlan>,
-    /// Constant of ℓ: -½ times the log-determinants and the squares of the directions of the mean.
+    /// Constant of ℓ: -½ times the sum of the log-determinants and of the squares of the whitened directions of the
+    /// mean.
     pub(super) constant: f64,
 }
 
 /// The plan of one phase.
 #[derive(Debug, Clone)]
 pub(super) struct PhasePlan {
-    /// R of the phase alone (`own`), and of this and all later phases (`total`).
+    /// R of the phase alone (`own`), and R of this and all later phases (`total`), about σ.
     pub(super) own: DMatrix<f64>,
     pub(super) total: DMatrix<f64>,
-    /// L and L⁻¹R of the prior's S = LL' = I + R PR', with R of this and all later phases.
+    /// L (`prior_lower`) and L⁻¹R (`prior_factor`) of S = LL' = I + R PR', with P the prior covariance of σ and R =
+    /// `total`.
     pub(super) prior_lower: DMatrix<f64>,
     pub(super) prior_factor: DMatrix<f64>,
-    /// Gains of the mean of σ: from the residuals of the phase's own data, and from those of this and all later phases.
+    /// Gains of the mean of σ from the residuals of the phase alone (`own_gain`), and from the residuals of this and
+    /// all later phases (`gain`).
     pub(super) own_gain: DMatrix<f64>,
     pub(super) gain: DMatrix<f64>,
     /// Root of Var[σ | all], followed by the directions of E[σ | all] as columns.
     pub(super) root: DMatrix<f64>,
-    /// Link to the next phase, if there is one.
+    /// Link to the next phase; `None` for the last phase.
     pub(super) link: Option<LinkPlan>,
-    /// Inheritance from the phase before, if there is one.
+    /// Inheritance from the phase before; `None` for the first phase.
     pub(super) inherits: Option<InheritPlan>,
 }
 
@@ -41,23 +44,24 @@ pub(super) struct PhasePlan {
 pub(super) struct LinkPlan {
     /// L of S = I + R EΣE'R', with R of the next and all later phases.
     pub(super) lower: DMatrix<f64>,
-    /// R of later phases in terms of x_K, and L of S = I + R P_K R'.
+    /// R of later phases in terms of x_K (`factor`), and L of S = LL' = I + R P_K R' (`state_lower`).
     pub(super) factor: DMatrix<f64>,
     pub(super) state_lower: DMatrix<f64>,
-    /// L⁻¹R with this L and R, and the data-independent adjoints ρ and N of x_K.
+    /// L⁻¹R with L = `state_lower` and R = `factor`, and the adjoints ρ and N of x_K, which do not depend on the data.
     pub(super) state_factor: DMatrix<f64>,
     pub(super) rho: DMatrix<f64>,
     pub(super) N: DMatrix<f64>,
-    /// Orthogonal matrix that transforms the d of the phase and of later phases into the d of both and a remainder.
+    /// Orthogonal matrix that transforms [d of the phase; d of later phases] into [d of this and later phases;
+    /// remainder].
     pub(super) fold: DMatrix<f64>,
 }
 
 /// The data-independent part of ∂ℓ/∂T.
 #[derive(Debug, Clone)]
 pub(super) struct InheritPlan {
-    /// PT', with P of the last state of the phase before.
+    /// PT', n × q, with P the covariance of the last state of the phase before.
     pub(super) cross_covariance: DMatrix<f64>,
-    /// -NTP plus the terms of the directions of the mean.
+    /// -NTP + Σ m(x + PT'm)', q × n, as [`InheritPlan::new`] computes it.
     pub(super) transition: DMatrix<f64>,
 }
 
@@ -74,7 +78,7 @@ impl PlanKey {
         PlanKey { phases: pieces.iter().map(own).collect(), covariates: laws.covariates.clone() }
     }
 
-    /// Whether the key equals that of these phases bit for bit.
+    /// Whether this key equals the key of the phases `pieces` bit for bit.
     pub(crate) fn same(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> bool {
         let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(parts(b)).all(|(a, b)| same_bits(a, b));
         self.phases.len() == pieces.len()
@@ -83,7 +87,7 @@ impl PlanKey {
     }
 }
 
-/// [R, Ψ_K, root of P_K, T] of a phase, empty where there is none.
+/// [R, Ψ_K, root of P_K, T] of a phase; a matrix that the phase does not have is empty.
 fn parts(piece: &PhaseReduction) -> [&[f64]; 4] {
     let [sensitivity, root] = match &piece.terminal {
         Some(terminal) => [terminal.sensitivity.as_slice(), terminal.root.as_slice()],
@@ -118,7 +122,7 @@ impl LaterInformation {
 }
 
 impl SmootherPlan {
-    /// The smoother for the phases of a test, `pieces`, under the laws of these phases.
+    /// The smoother for the phases `pieces` of a test under the laws of ξ in the phases.
     pub fn new(pieces: &[PhaseReduction], laws: &PhaseLaws) -> SmootherPlan {
         let laws = &laws.laws[..pieces.len()];
         let own = |piece: &PhaseReduction| unpack(&piece.reduction.factor, piece.reduction.data.len());
@@ -151,8 +155,8 @@ impl SmootherPlan {
         plan
     }
 
-    /// For each phase, the information of it and all later phases about its σ, and its link with the information of
-    /// later phases about its last state.
+    /// For each phase: the information of this and all later phases about σ, and the link to the next phase with the
+    /// information of later phases about the last state x_K.
     fn backward(
         &mut self,
         pieces: &[PhaseReduction],
@@ -182,8 +186,8 @@ impl SmootherPlan {
 }
 
 impl LinkPlan {
-    /// The link, the information of later phases about x_K, that of this and later phases about σ, and the
-    /// log-determinants and squares for the constant.
+    /// (the link, the information of later phases about x_K, the information of this and later phases about σ, the sum
+    /// of the log-determinants and squares for the constant).
     fn new(
         (piece, own): (&PhaseReduction, &DMatrix<f64>),
         (next, law): (&PhaseReduction, &PhaseLaw),
@@ -200,7 +204,7 @@ impl LinkPlan {
         let mut both = DMatrix::zeros(rows + m, own.ncols());
         both.rows_mut(0, rows).copy_from(own);
         both.rows_mut(rows, m).copy_from(&(&state_factor * &terminal.sensitivity));
-        // the full Q, since the remainder counts too
+        // the full orthogonal factor of the QR decomposition: the remainder counts too
         let mut fold = DMatrix::identity(rows + m, rows + m);
         let qr = both.qr();
         qr.q_tr_mul(&mut fold);
@@ -215,7 +219,7 @@ impl LinkPlan {
         (LinkPlan { lower, factor, state_lower, state_factor, rho, N, fold }, later, all, log_terms)
     }
 
-    /// Sets ρ = R'S⁻¹(RΨ_KC - D), with D of the directions of the mean.
+    /// Sets ρ = R'S⁻¹(RΨ_KC - D), with D the columns of d for the directions of the mean.
     fn about(mut self, later: &LaterInformation, piece: &PhaseReduction, all: &PriorRoot) -> LinkPlan {
         let spread = &self.factor * &terminal(piece).sensitivity;
         let rho = join_columns(&(&spread * &all.root), &(&spread * &all.directions - &later.columns));
@@ -225,7 +229,8 @@ impl LinkPlan {
 }
 
 impl InheritPlan {
-    /// -NTP + Σ m(x + PT'm)' over the directions m of r, with the directions x of the last state of the phase before.
+    /// Computes -NTP + Σ m(x + PT'm)', with N = R'S⁻¹R of the prior of σ, over the directions m of r and x of the last
+    /// state of the phase before.
     fn new(piece: &PhaseReduction, before: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
         let T = &inherited(piece).transition;
         let cross_covariance = &before.root * (T * &before.root).transpose();
@@ -236,12 +241,12 @@ impl InheritPlan {
     }
 }
 
-/// Root and directions of a phase's own ξ, in its entering coordinates.
+/// Root and directions of ξ of a phase, in the entering coordinates σ of the phase.
 fn spread(law: &PhaseLaw, q: usize) -> PriorRoot {
     PriorRoot { root: PhaseLaw::entering(&law.root, q), directions: PhaseLaw::entering(&law.directions, q) }
 }
 
-/// Root and directions of the last state of a phase, from those of its σ given this and earlier phases.
+/// Root and directions of the last state of a phase, from the root and directions of σ given this and earlier phases.
 fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     let terminal = terminal(piece);
     PriorRoot {
@@ -250,7 +255,7 @@ fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     }
 }
 
-/// Root and directions of σ, from those of the last state of the phase before.
+/// Root and directions of σ, from the root and directions of the last state of the phase before.
 fn inherit(law: &PhaseLaw, piece: &PhaseReduction, before: &PriorRoot) -> PriorRoot {
     let T = &inherited(piece).transition;
     let own = spread(law, T.nrows());

@@ -1,4 +1,4 @@
-//! The data-dependent part of the smoother of one test, by its plan.
+//! The data-dependent part of the smoother of one test, computed by the plan of the design.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -7,8 +7,8 @@ use crate::score::smoother::plan::{InheritPlan, LinkPlan, SmootherPlan};
 use crate::score::smoother::{InheritanceAdjoint, LaterAdjoint, PhaseLaws, SmoothedPhase, inherited, terminal};
 use kalfit_model::PhaseReduction;
 
-/// d of each phase: of this and all later phases about its σ (`totals`), and of later phases about its last state
-/// (`laters`).
+/// d of the information about each phase: of this and all later phases about σ (`totals`), and of later phases about
+/// the last state x_K (`laters`).
 struct PhaseData {
     totals: Vec<DVector<f64>>,
     laters: Vec<Option<DVector<f64>>>,
@@ -17,8 +17,8 @@ struct PhaseData {
 }
 
 impl SmootherPlan {
-    /// For each phase of a test: its moments given all data, its adjoints from later phases, and the adjoints of its
-    /// inheritance.
+    /// For each phase of a test: the moments of σ given all data, the adjoints of the last state from later phases, and
+    /// the adjoints of the inheritance.
     pub(crate) fn smooth(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Vec<SmoothedPhase> {
         let data = self.gather(pieces, laws);
         let mut prior = self.first(laws);
@@ -94,15 +94,15 @@ impl LinkPlan {
 }
 
 impl InheritPlan {
-    /// ∂ℓ/∂t = r, ∂ℓ/∂T = r (x + PT'r)' - NTP, with r and N of the prior of σ, and x and P of the last state of the
-    /// phase before.
+    /// ∂ℓ/∂t = r, ∂ℓ/∂T = r (x + PT'r)' - NTP, with r and N of the prior of σ, and x and P the mean and covariance of
+    /// the last state of the phase before.
     fn bar(&self, before: &DVector<f64>, r: DVector<f64>) -> InheritanceAdjoint {
         let smoothed = before + &self.cross_covariance * &r;
         InheritanceAdjoint { transition: &self.transition + &r * smoothed.transpose(), input: r }
     }
 }
 
-/// q of a phase, the length of its σ.
+/// q of a phase, the length of σ.
 fn prior_size(piece: &PhaseReduction) -> usize {
     piece.reduction.data.len()
 }

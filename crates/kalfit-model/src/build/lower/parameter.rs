@@ -23,7 +23,7 @@ impl ParameterBuilder {
         Ok(())
     }
 
-    /// Builds the parameter, once its uses are known.
+    /// Builds the parameter, whose role follows from all uses.
     pub(in crate::build) fn lower_into(&self, names: &mut Names, role: Role) -> Result<Parameter, BuildError> {
         let name = self.name.clone();
         if role == Role::Unused {

@@ -1,20 +1,20 @@
-//! How a parameter occurs in motion, where it may be a time constant τ.
+//! How a parameter occurs in motion, where the parameter may be a time constant τ.
 
 use crate::model::{Expression, Function, Operator};
 
-/// How a coefficient of motion depends on τ.
+/// Dependence of a coefficient of motion on τ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Decay {
-    /// Not at all, or in a way that does not determine the sign of τ.
+    /// No dependence, or one that does not determine the sign of τ.
     None,
-    /// As a decay: -c/τ in a rate, exp(-dt/τ) in a factor.
+    /// A decay: -c/τ in a rate, exp(-dt/τ) in a factor.
     Falling,
-    /// In a way that does not fit a time constant.
+    /// Any other dependence, which a time constant cannot have.
     Other,
 }
 
 impl Expression {
-    /// How a coefficient of a derivative depends on τ: as c/τ^k.
+    /// Dependence on τ of a coefficient of a derivative, from the form c/τ^k.
     pub(super) fn rate(&self, parameter: usize) -> Decay {
         match self.exponents(parameter) {
             Some(exponents) if exponents.iter().all(|k| *k == 0.0) => Decay::None,
@@ -29,7 +29,7 @@ impl Expression {
         }
     }
 
-    /// How a coefficient of a step depends on τ: only through exp(-dt/τ).
+    /// Dependence on τ of a coefficient of a step: a decay if τ occurs only in exp(-dt/τ).
     pub(super) fn decay(&self, parameter: usize) -> Decay {
         let of = |part: &Expression| part.decay(parameter);
         match self {

@@ -9,9 +9,9 @@ pub(super) enum Use {
     Absent,
     /// A standard deviation: the variance is even in θ.
     Deviation,
-    /// A variance: a factor, or added to what cannot be negative.
+    /// A variance: θ is a factor, or a term of a sum whose other terms cannot be negative.
     Variance,
-    /// Anything else.
+    /// Any other role.
     Other,
 }
 
@@ -69,7 +69,7 @@ impl Expression {
         if found == Use::Other && self.is_multiple(parameter) { Use::Deviation } else { found }
     }
 
-    /// Role of θ in an expression that contains no scales: it is absent or something else.
+    /// Role of θ in an expression that is no product of scales: [`Use::Absent`] or [`Use::Other`].
     fn absent_or_other(&self, parameter: usize) -> Use {
         if self.mentions(parameter) { Use::Other } else { Use::Absent }
     }
@@ -79,8 +79,8 @@ impl Expression {
         self.exponents(parameter).is_some_and(|exponents| exponents == [1.0]) && !self.is_negative()
     }
 
-    /// Whether every term contains no parameter, is even in all parameters that it contains, or is a product of
-    /// parameters and numbers alone.
+    /// Whether each term of the sum contains no parameter, is an even function of each of its parameters, or is a
+    /// product of parameters and numbers alone.
     fn adds_variances(&self) -> bool {
         if let Expression::Binary(Operator::Add, a, b) = self {
             return a.adds_variances() && b.adds_variances();
