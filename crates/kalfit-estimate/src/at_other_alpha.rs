@@ -54,7 +54,7 @@ impl FinalState {
 
     /// ∂ℓ/∂Σ in the user's units: the objective changes by tr(G dΣ).
     pub fn covariance_score(&self) -> DMatrix<f64> {
-        self.problem.score_out(&self.sums.score())
+        self.problem.score_in_user_units(&self.sums.score())
     }
 
     /// The objective at the point of this state under other reductions of the tests; `None` where the objective is not
@@ -218,7 +218,7 @@ impl Reevaluation {
 
     /// ∂ℓ/∂Σ in the user's units.
     pub fn covariance_score(&self) -> DMatrix<f64> {
-        self.problem.score_out(&self.sums.score())
+        self.problem.score_in_user_units(&self.sums.score())
     }
 }
 
@@ -229,13 +229,13 @@ fn in_chart(problem: &Problem, point: &Point) -> Point {
 
 /// The root in the new map with the coordinates ψ that `root` has in the old map: matrices of the structure may depend
 /// on α.
-fn converted_root(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
-    let parts = from.parts.iter().zip(&to.parts);
-    to.assembled(parts.map(|(old, new)| converted_part(&old.form, &new.form, old.of(root))))
+fn converted_root(source_form: &CovarianceMap, target_form: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
+    let parts = source_form.parts.iter().zip(&target_form.parts);
+    target_form.block_diagonal(parts.map(|(old, new)| converted_part(&old.form, &new.form, old.of(root))))
 }
 
-fn converted_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>) -> DMatrix<f64> {
-    match (from, to) {
+fn converted_part(source_form: &CoordinateForm, target_form: &CoordinateForm, root: DMatrix<f64>) -> DMatrix<f64> {
+    match (source_form, target_form) {
         (CoordinateForm::Scale(old), CoordinateForm::Scale(new)) => {
             let star = old.norm_squared();
             new * if star > 0.0 { (root.norm_squared() / star).sqrt() } else { 0.0 }
@@ -254,7 +254,7 @@ fn converted_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>
 
 impl Problem {
     /// ∂ℓ/∂Σ in the user's units, from ∂ℓ/∂Σ in η; also for one term of ∂ℓ/∂Σ or for the leading block.
-    pub fn score_out(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
+    pub fn score_in_user_units(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
         let scale = &self.classes.frame.scale;
         DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
     }

@@ -7,11 +7,11 @@
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
-use crate::covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm, place as place_block, sub};
+use crate::covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm, place as place_block, submatrix};
 use crate::curvature::Curvature;
 use crate::local::natural_sizes;
 use crate::newton::NewtonIterate;
-use crate::relaxed::{relax, undetermined};
+use crate::relaxed::{minimise_largest_eigenvalue, undetermined_multipliers};
 use kalfit_algebra::symmetric;
 
 /// Rounding errors above this many standard errors are reported.
@@ -129,9 +129,9 @@ fn part_escape(map: &CovarianceMap, part: &PhaseForm, place: &NewtonIterate, tes
             let root = &place.point.root;
             let own = |c: &&Constraint| c.terms.iter().all(|(i, _, _)| part.states.contains(i));
             let constraints: Vec<Constraint> = map.constraints.iter().filter(own).cloned().collect();
-            let free = undetermined(&constraints, root);
-            if !free.is_empty() {
-                return null_escape(blocks, root, (residual, &free), weight, tests); // constraints may tie blocks
+            let multiplier_matrices = undetermined_multipliers(&constraints, root);
+            if !multiplier_matrices.is_empty() {
+                return null_escape(blocks, root, (residual, &multiplier_matrices), weight, tests); // constraints may tie blocks
             }
             let of_block =
                 |block: &Vec<usize>| null_escape(std::slice::from_ref(block), root, (residual, &[]), weight, tests);
@@ -157,10 +157,10 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
     let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
     let sigma = place.point.covariance();
     let is_zero = |i: usize| sigma[(i, i)].sqrt() <= ZERO_STD_DEV;
-    let others = |i: usize| states.iter().filter(move |&&j| !is_zero(j)).map(move |&j| (i, j));
-    let slope = |i: usize| others(i).map(|(i, j)| residual[(i, j)] * r[(i, j)] * sigma[(j, j)].sqrt()).sum::<f64>();
+    let nonzero_partners = |i: usize| states.iter().filter(move |&&j| !is_zero(j)).map(move |&j| (i, j));
+    let slope = |i: usize| nonzero_partners(i).map(|(i, j)| residual[(i, j)] * r[(i, j)] * sigma[(j, j)].sqrt()).sum::<f64>();
     let zero: Vec<usize> = states.iter().copied().filter(|&i| is_zero(i) && slope(i) >= 0.0).collect();
-    let grown = |parts: &[(usize, f64)]| {
+    let growth_escape = |parts: &[(usize, f64)]| {
         let mut u = DVector::zeros(r.nrows());
         parts.iter().for_each(|&(i, x)| u[i] = x);
         let direction = r.component_mul(&(&u * u.transpose()));
@@ -172,13 +172,13 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
     // √b : √a
     let loss = |i: usize| (-residual[(i, i)] * r[(i, i)]).max(0.0).sqrt() * unit(i);
     let pairs = zero.iter().enumerate().flat_map(|(k, &i)| zero[..k].iter().map(move |&j| (i, j)));
-    let singles = zero.iter().map(|&i| grown(&[(i, unit(i))]));
-    let both = pairs.map(|(i, j)| {
+    let singles = zero.iter().map(|&i| growth_escape(&[(i, unit(i))]));
+    let pair_escapes = pairs.map(|(i, j)| {
         let (a, b) = (loss(i), loss(j));
         let (u, v) = if a.max(b) > 0.0 { (b / a.max(b), a / a.max(b)) } else { (1.0, 1.0) };
-        grown(&[(i, u.max(MIN_STD_DEV_RATIO) * unit(i)), (j, v.max(MIN_STD_DEV_RATIO) * unit(j))])
+        growth_escape(&[(i, u.max(MIN_STD_DEV_RATIO) * unit(i)), (j, v.max(MIN_STD_DEV_RATIO) * unit(j))])
     });
-    singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
+    singles.chain(pair_escapes).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
 /// The direction of largest score in the null space of the blocks of Σ, after undetermined multipliers have made that
@@ -186,7 +186,7 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
 fn null_escape(
     blocks: &[Vec<usize>],
     root: &DMatrix<f64>,
-    (residual, free): (&DMatrix<f64>, &[DMatrix<f64>]),
+    (residual, multiplier_matrices): (&DMatrix<f64>, &[DMatrix<f64>]),
     weight: &DMatrix<f64>,
     tests: f64,
 ) -> Option<Escape> {
@@ -194,12 +194,12 @@ fn null_escape(
     if null.iter().all(|basis| basis.ncols() == 0) {
         return None;
     }
-    let within = |matrix: &DMatrix<f64>| {
-        let parts = blocks.iter().zip(&null).map(|(block, basis)| basis.transpose() * sub(matrix, block) * basis);
+    let on_null_space = |matrix: &DMatrix<f64>| {
+        let parts = blocks.iter().zip(&null).map(|(block, basis)| basis.transpose() * submatrix(matrix, block) * basis);
         block_diagonal(&parts.collect::<Vec<_>>())
     };
-    let free: Vec<DMatrix<f64>> = free.iter().map(within).collect();
-    let (score, density) = relax(&within(residual), &free);
+    let multiplier_matrices: Vec<DMatrix<f64>> = multiplier_matrices.iter().map(on_null_space).collect();
+    let (score, density) = minimise_largest_eigenvalue(&on_null_space(residual), &multiplier_matrices);
     let (scores, _) = symmetric::eigen(&score);
     let mut direction = DMatrix::zeros(root.nrows(), root.nrows());
     let mut from = 0;

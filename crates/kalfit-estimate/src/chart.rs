@@ -55,11 +55,11 @@ impl Chart {
         let elements = &self.elements;
         let mut jacobian = Sparse::with_height(elements.count());
         for entries in &self.coordinates {
-            let of = |&(i, c, x): &(usize, usize, f64)| {
+            let column_terms = |&(i, c, x): &(usize, usize, f64)| {
                 let term = move |j| (elements.index(i, j), x * root[(j, c)] * if i == j { 2.0 } else { 1.0 });
                 elements.blocks()[elements.block_of(i)].clone().map(term)
             };
-            jacobian.push(entries.iter().flat_map(of));
+            jacobian.push(entries.iter().flat_map(column_terms));
         }
         jacobian
     }
@@ -116,20 +116,20 @@ fn factor_chart(blocks: &[Vec<usize>], root: &DMatrix<f64>, states: &Range<usize
 
 /// Indices of the rows in the order of a Cholesky decomposition with pivoting: largest remaining norm first.
 fn pivot_order(rows: &DMatrix<f64>) -> Vec<usize> {
-    let mut left = rows.clone();
+    let mut remaining_rows = rows.clone();
     let mut order: Vec<usize> = Vec::new();
     while order.len() < rows.nrows() {
-        let norm = |i: &usize| left.row(*i).norm_squared();
+        let norm = |i: &usize| remaining_rows.row(*i).norm_squared();
         let rest = (0..rows.nrows()).filter(|i| !order.contains(i));
         let next = rest.max_by(|a, b| norm(a).total_cmp(&norm(b)).then(b.cmp(a))).expect("a row remains");
         order.push(next);
-        let pivot = left.row(next).clone_owned();
+        let pivot = remaining_rows.row(next).clone_owned();
         let size = pivot.norm_squared();
         if size > 0.0 {
-            for i in 0..left.nrows() {
-                let along = left.row(i).dot(&pivot) / size;
-                let reduced = left.row(i) - &pivot * along;
-                left.set_row(i, &reduced);
+            for i in 0..remaining_rows.nrows() {
+                let along = remaining_rows.row(i).dot(&pivot) / size;
+                let reduced = remaining_rows.row(i) - &pivot * along;
+                remaining_rows.set_row(i, &reduced);
             }
         }
     }

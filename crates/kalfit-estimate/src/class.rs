@@ -77,16 +77,16 @@ impl ClassRef<'_> {
         found.clear();
         found.resize(p, (0.0, 0.0));
         for (row, d) in rows().zip(self.mean) {
-            let left = d - row.iter().zip(mean).map(|(r, x)| r * x).sum::<f64>();
-            for ((moment, own), r) in found.iter_mut().zip(row) {
-                *moment += r * left;
-                *own += r * r;
+            let residual = d - row.iter().zip(mean).map(|(r, x)| r * x).sum::<f64>();
+            for ((moment, information), r) in found.iter_mut().zip(row) {
+                *moment += r * residual;
+                *information += r * r;
             }
         }
-        for (i, (moment, own)) in found.iter_mut().enumerate() {
-            let at = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // (R'x)_i
-            let spread: f64 = self.scatter.chunks_exact(self.mean.len().max(1)).map(|x| at(x).powi(2)).sum();
-            *moment = self.count * (moment.powi(2) - *own) + spread;
+        for (i, (moment, information)) in found.iter_mut().enumerate() {
+            let transposed_product = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // (R'x)_i
+            let scatter_square: f64 = self.scatter.chunks_exact(self.mean.len().max(1)).map(|x| transposed_product(x).powi(2)).sum();
+            *moment = self.count * (moment.powi(2) - *information) + scatter_square;
         }
     }
 }

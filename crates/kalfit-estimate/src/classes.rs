@@ -171,8 +171,8 @@ impl Classes {
         (elements, chained): (Elements, bool),
     ) -> Classes {
         let frame = pooled.frame();
-        let found = (tests, pooled.information(&frame), present);
-        let classes = Classes::arranged((Vec::new(), &|_, _| {}), Vec::new(), (&frame, &elements, chained), found);
+        let totals = (tests, pooled.information(&frame), present);
+        let classes = Classes::arranged((Vec::new(), &|_, _| {}), Vec::new(), (&frame, &elements, chained), totals);
         Classes { remote: Some(remote.clone()), ..classes }
     }
 
@@ -182,8 +182,8 @@ impl Classes {
         (frame, pooled): (Frame, &Pooled),
         (elements, chained): (Elements, bool),
     ) -> Classes {
-        let found = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
-        let classes = Classes::of_members(reductions, members, (&frame, &elements, chained), found);
+        let totals = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
+        let classes = Classes::of_members(reductions, members, (&frame, &elements, chained), totals);
         Classes { stamp: Some(reductions.stamp()), ..classes }
     }
 
@@ -191,7 +191,7 @@ impl Classes {
         reductions: &Reductions,
         members: Members,
         (frame, elements, chained): (&Frame, &Elements, bool),
-        found: (usize, DMatrix<f64>, Vec<f64>),
+        totals: (usize, DMatrix<f64>, Vec<f64>),
     ) -> Classes {
         let chains = if chained { for_lanes(reductions, &members, (frame, elements)) } else { Vec::new() };
         let lanes = lanes_of_classes(&chains, members.len());
@@ -211,7 +211,7 @@ impl Classes {
             }
         };
         let kinds = (0..members.len()).map(kind).collect();
-        let classes = Classes::arranged((kinds, &fill), chains, (frame, elements, chained), found);
+        let classes = Classes::arranged((kinds, &fill), chains, (frame, elements, chained), totals);
         Classes { members: Some(Arc::new(members)), ..classes }
     }
 
@@ -236,9 +236,9 @@ impl Classes {
         };
         let (blocks, shared) = (filled(false, single), filled(true, several));
         let listed = list(listed, fill);
-        let alone = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_by_rotations);
+        let is_unbatched = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_by_rotations);
         Classes {
-            unbatched: (0..listed.len()).filter(alone).collect(),
+            unbatched: (0..listed.len()).filter(is_unbatched).collect(),
             places: Arc::new(places),
             noise: None,
             blocks,
@@ -317,8 +317,8 @@ impl Classes {
     pub fn each(&self, reductions: &Reductions, tests: &[usize]) -> Classes {
         let share = tests.len() as f64 / reductions.len() as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
-        let found = (tests.len(), &self.information * share, present);
-        Classes::of_members(reductions, Members::each(tests), (&self.frame, &self.elements, self.chained), found)
+        let totals = (tests.len(), &self.information * share, present);
+        Classes::of_members(reductions, Members::each(tests), (&self.frame, &self.elements, self.chained), totals)
     }
 
     /// The classes with all noise variances multiplied by λ, from the residual of each class, in coordinates that are
@@ -329,14 +329,14 @@ impl Classes {
         let (mut changes, mut listed) = ([Residual::default(); 2], Vec::with_capacity(self.listed.len()));
         for (place, residuals) in self.places.iter().zip(residuals.iter()) {
             match place.kind {
-                ClassKind::Single => changes[0] = changes[0].and(*residuals),
-                ClassKind::Several => changes[1] = changes[1].and(*residuals),
+                ClassKind::Single => changes[0] = changes[0].plus(*residuals),
+                ClassKind::Several => changes[1] = changes[1].plus(*residuals),
                 ClassKind::Listed => listed.push(residuals.change(variance)),
             }
         }
         let [single, several] = changes.map(|change| change.change(variance));
         let size = variance.sqrt();
-        let change = residuals.iter().fold(Residual::default(), |sum, one| sum.and(*one)).change(variance);
+        let change = residuals.iter().fold(Residual::default(), |sum, one| sum.plus(*one)).change(variance);
         let noise_unit = noise.unit();
         let scale = self.frame.scale.iter().map(|s| s * size).collect();
         Classes {
@@ -387,18 +387,18 @@ impl Classes {
         let tests = numbers.iter().map(|&number| self.get(number, &mut buffer).count).sum::<f64>();
         let share = tests / self.tests as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
-        let found = (tests as usize, &self.information * share, present);
-        Classes::arranged((kinds, &fill), chains, (&self.frame, &self.elements, self.chained), found)
+        let totals = (tests as usize, &self.information * share, present);
+        Classes::arranged((kinds, &fill), chains, (&self.frame, &self.elements, self.chained), totals)
     }
 
     /// Packs the chains of some classes into lanes, chains of one shape together.
     fn packed_subset(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
         let lanes = Isa::best().lanes();
         let mut buffer = Class::default();
-        let kept: Vec<Option<ChainStore>> =
+        let chain_stores: Vec<Option<ChainStore>> =
             numbers.iter().map(|&number| self.get(number, &mut buffer).chain.cloned()).collect();
-        let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(ChainStore::shape)).enumerate(), lanes);
-        let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
+        let groups = grouped(chain_stores.iter().map(|chain_stores| chain_stores.as_ref().and_then(ChainStore::shape)).enumerate(), lanes);
+        let of = |k: usize| chain_stores[k].as_ref().expect("it has a shape").chained();
         let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
         groups.into_par_iter().map(pack).collect()
     }
@@ -452,7 +452,7 @@ impl Classes {
 
 /// The classes of these indices, as a list.
 fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
-    let some = |numbers: &[usize]| {
+    let list_chunk = |numbers: &[usize]| {
         let (mut listed, mut buffer) = (Listed::default(), Class::default());
         for &number in numbers {
             fill(number, &mut buffer);
@@ -460,7 +460,7 @@ fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
         }
         listed
     };
-    let parts: Vec<Listed> = numbers.par_chunks(CLASSES_PER_TASK).map(some).collect();
+    let parts: Vec<Listed> = numbers.par_chunks(CLASSES_PER_TASK).map(list_chunk).collect();
     let mut all = Listed::default();
     parts.into_iter().for_each(|part| all.append(part));
     all

@@ -59,7 +59,7 @@ pub(crate) fn step_off_boundary(
     let escape = escape?;
     let mut length = escape.length;
     for _ in 0..8 {
-        if let Some(next) = iterate.try_successor(objective, |iterate| grown(objective, map, iterate, &escape, length))
+        if let Some(next) = iterate.try_successor(objective, |iterate| after_escape(objective, map, iterate, &escape, length))
         {
             return Some(next);
         }
@@ -83,7 +83,7 @@ pub(crate) fn step_along_flat(
     })
 }
 
-fn grown(
+fn after_escape(
     objective: &dyn Objective,
     map: &CovarianceMap,
     iterate: &NewtonIterate,
@@ -91,7 +91,7 @@ fn grown(
     length: f64,
 ) -> Option<NewtonIterate> {
     let sigma = iterate.point.covariance() + &escape.direction * length;
-    let root = map.onto(&map.root_of(&sigma))?;
+    let root = map.on_constraints(&map.root_of(&sigma))?;
     let next = NewtonIterate::new(objective, map, Point { root, ..iterate.point.clone() }, iterate.near())?;
     (next.local.value > iterate.local.value).then_some(next)
 }

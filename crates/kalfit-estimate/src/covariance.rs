@@ -90,9 +90,9 @@ impl CovarianceMap {
 
     /// Adds the structure of a phase whose states begin at `start`.
     fn append(&mut self, phase: CovarianceMap, start: usize) {
-        self.parts.extend(phase.parts.into_iter().map(|part| part.moved(start as isize)));
+        self.parts.extend(phase.parts.into_iter().map(|part| part.with_shifted_states(start as isize)));
         self.random.extend(phase.random.iter().map(|i| start + i));
-        self.constraints.extend(phase.constraints.iter().map(|c| c.moved(start as isize)));
+        self.constraints.extend(phase.constraints.iter().map(|c| c.with_shifted_states(start as isize)));
     }
 
     /// The structure of one phase, with states numbered from zero.
@@ -102,8 +102,8 @@ impl CovarianceMap {
         let own = |c: &&Constraint| c.terms.iter().all(|(i, _, _)| states.contains(i));
         CovarianceMap {
             p: states.len(),
-            parts: vec![part.moved(back)],
-            constraints: self.constraints.iter().filter(own).map(|c| c.moved(back)).collect(),
+            parts: vec![part.with_shifted_states(back)],
+            constraints: self.constraints.iter().filter(own).map(|c| c.with_shifted_states(back)).collect(),
             random: self.random.iter().filter(|i| states.contains(i)).map(|i| i - states.start).collect(),
             regressors: Vec::new(),
             elements: Elements::single(states.len()),
@@ -124,7 +124,7 @@ impl CovarianceMap {
     }
 
     /// The p × p matrix with these diagonal blocks, one for each phase, and zeros elsewhere.
-    pub(crate) fn assembled(&self, parts: impl IntoIterator<Item = DMatrix<f64>>) -> DMatrix<f64> {
+    pub(crate) fn block_diagonal(&self, parts: impl IntoIterator<Item = DMatrix<f64>>) -> DMatrix<f64> {
         let mut whole = DMatrix::zeros(self.p, self.p);
         for (part, own) in self.parts.iter().zip(parts) {
             let start = part.states.start;
@@ -157,8 +157,8 @@ impl CovarianceMap {
     /// a constraint must not hide the residual of that constraint.
     pub fn relative_residual(&self, sigma: &DMatrix<f64>, residual: &DVector<f64>) -> f64 {
         let size = |c: &Constraint| {
-            let spread = |i: usize, j: usize| (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
-            c.value.abs() + c.terms.iter().map(|&(i, j, x)| x.abs() * spread(i, j)).sum::<f64>()
+            let std_dev_product = |i: usize, j: usize| (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
+            c.value.abs() + c.terms.iter().map(|&(i, j, x)| x.abs() * std_dev_product(i, j)).sum::<f64>()
         };
         let relative = self.constraints.iter().zip(residual.iter()).map(|(c, r)| r.abs() / (1.0 + size(c)));
         relative.fold(0.0, f64::max)
@@ -184,7 +184,7 @@ impl CovarianceMap {
             match &part.form {
                 CoordinateForm::Factor(blocks) => {
                     for block in blocks {
-                        let own = symmetric::square_root(&sub(sigma, block));
+                        let own = symmetric::square_root(&submatrix(sigma, block));
                         place(&mut root, block, &own);
                     }
                 }
@@ -220,30 +220,30 @@ impl PhaseForm {
     }
 
     /// The form with `by` added to every state index.
-    fn moved(&self, by: isize) -> PhaseForm {
-        let at = |i: usize| i.strict_add_signed(by);
+    fn with_shifted_states(&self, by: isize) -> PhaseForm {
+        let shifted_index = |i: usize| i.strict_add_signed(by);
         let form = match &self.form {
             CoordinateForm::Factor(blocks) => {
-                CoordinateForm::Factor(blocks.iter().map(|block| block.iter().map(|&i| at(i)).collect()).collect())
+                CoordinateForm::Factor(blocks.iter().map(|block| block.iter().map(|&i| shifted_index(i)).collect()).collect())
             }
             CoordinateForm::StdDevs(root, states) => {
-                CoordinateForm::StdDevs(root.clone(), states.iter().map(|&i| at(i)).collect())
+                CoordinateForm::StdDevs(root.clone(), states.iter().map(|&i| shifted_index(i)).collect())
             }
             other => other.clone(),
         };
-        PhaseForm { states: at(self.states.start)..at(self.states.end), form, ..self.clone() }
+        PhaseForm { states: shifted_index(self.states.start)..shifted_index(self.states.end), form, ..self.clone() }
     }
 }
 
 impl Constraint {
-    fn moved(&self, by: isize) -> Constraint {
-        let at = |i: usize| i.strict_add_signed(by);
-        Constraint { terms: self.terms.iter().map(|&(i, j, x)| (at(i), at(j), x)).collect(), ..self.clone() }
+    fn with_shifted_states(&self, by: isize) -> Constraint {
+        let shifted_index = |i: usize| i.strict_add_signed(by);
+        Constraint { terms: self.terms.iter().map(|&(i, j, x)| (shifted_index(i), shifted_index(j), x)).collect(), ..self.clone() }
     }
 }
 
 /// The rows and columns of `matrix` that `block` lists.
-pub(crate) fn sub(matrix: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
+pub(crate) fn submatrix(matrix: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(block.len(), block.len(), |i, j| matrix[(block[i], block[j])])
 }
 

@@ -166,16 +166,16 @@ impl Curvature {
 
 impl UndampedStep {
     fn of(root: &Regular, gradient: &DVector<f64>) -> UndampedStep {
-        let half = root.below(gradient);
-        UndampedStep { gain: 0.5 * half.norm_squared(), decrement: half.norm(), step: root.above(half) }
+        let whitened_gradient = root.below(gradient);
+        UndampedStep { gain: 0.5 * whitened_gradient.norm_squared(), decrement: whitened_gradient.norm(), step: root.above(whitened_gradient) }
     }
 }
 
 impl Spectrum {
     /// (index, |eigenvalue|, slope along the eigenvector) of each direction that is not flat.
     fn terms(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
-        let kept = |&(_, h, _): &(usize, f64, f64)| h > FLAT_EIGENVALUE;
-        self.values.iter().enumerate().map(|(k, v)| (k, v.abs(), self.gradient[k])).filter(kept)
+        let is_not_flat = |&(_, h, _): &(usize, f64, f64)| h > FLAT_EIGENVALUE;
+        self.values.iter().enumerate().map(|(k, v)| (k, v.abs(), self.gradient[k])).filter(is_not_flat)
     }
 
     fn decrement(&self) -> f64 {
@@ -184,24 +184,24 @@ impl Spectrum {
 
     /// (step along flat directions, gain in ℓ that the step promises).
     fn along_flat(&self) -> (DVector<f64>, f64) {
-        let mut along = DVector::zeros(self.values.len());
+        let mut eigen_step = DVector::zeros(self.values.len());
         let mut gain = 0.0;
         for (k, h) in self.values.iter().map(|v| v.abs()).enumerate().filter(|(_, h)| *h <= FLAT_EIGENVALUE) {
-            along[k] = self.gradient[k] / h.max(ROUNDING_EIGENVALUE);
-            gain += 0.5 * self.gradient[k] * along[k];
+            eigen_step[k] = self.gradient[k] / h.max(ROUNDING_EIGENVALUE);
+            gain += 0.5 * self.gradient[k] * eigen_step[k];
         }
-        (&self.vectors * along, gain)
+        (&self.vectors * eigen_step, gain)
     }
 
     fn step(&self, damping: f64) -> (DVector<f64>, f64) {
-        let mut along = DVector::zeros(self.values.len());
+        let mut eigen_step = DVector::zeros(self.values.len());
         let mut gain = 0.0;
         for (k, h, g) in self.terms() {
             let s = g / (h + damping);
-            along[k] = s;
+            eigen_step[k] = s;
             gain += g * s - 0.5 * h * s * s;
         }
-        (&self.vectors * along, gain)
+        (&self.vectors * eigen_step, gain)
     }
 }
 

@@ -50,20 +50,20 @@ pub fn map_classes<T: Send>(
 pub(super) fn map_classes_and_packed<T: Send>(
     classes: &Classes,
     start: &(dyn Fn() -> T + Sync),
-    one: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
-    several: &(dyn Fn(&mut T, &Packed) + Sync),
+    fold_class: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
+    fold_pack: &(dyn Fn(&mut T, &Packed) + Sync),
 ) -> Vec<T> {
     // where some classes are packed, `listed` holds all classes in order
     let packed = !classes.chains.is_empty();
     let alone = if packed { classes.unbatched.clone() } else { (0..classes.len()).collect() };
     let one_by_one = |numbers: &[usize]| {
         let (mut folded, mut buffer) = (start(), Class::default());
-        numbers.iter().for_each(|&k| one(&mut folded, k, classes.get(k, &mut buffer)));
+        numbers.iter().for_each(|&k| fold_class(&mut folded, k, classes.get(k, &mut buffer)));
         folded
     };
     let packed_blocks = |blocks: &[Arc<Packed>]| {
         let mut folded = start();
-        blocks.iter().for_each(|packed| several(&mut folded, packed));
+        blocks.iter().for_each(|packed| fold_pack(&mut folded, packed));
         folded
     };
     let mut parts: Vec<T> = alone.par_chunks(CLASSES_PER_TASK).map(one_by_one).collect();

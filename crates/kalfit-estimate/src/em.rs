@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::Criterion;
-use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, place, sub};
+use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, place, submatrix};
 use crate::exact::maximise_exact;
 use crate::local::Objective;
 use crate::order::Order;
@@ -34,7 +34,7 @@ pub(crate) fn order(problem: &Problem) -> Order {
 /// mean, or a regression), μ and Σ alternate: generalised least squares for μ, EM for Σ (ECM). They also alternate
 /// under the restricted likelihood, where the mean is missing data too, with a flat prior: the uncertainty of the mean
 /// adds to the second moment.
-pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut ConditionalStep) -> Point {
+pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, next_step: &mut ConditionalStep) -> Point {
     let tests = counts(problem);
     let sigma = point.covariance();
     let mu = DVector::from_column_slice(&point.mean);
@@ -47,11 +47,11 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Con
     let next_mean = match together {
         Some(next) if random => next,
         _ => {
-            if *turn == ConditionalStep::Mean {
-                *turn = ConditionalStep::Covariance;
+            if *next_step == ConditionalStep::Mean {
+                *next_step = ConditionalStep::Covariance;
                 return problem.move_mean(point, problem.least_squares_step(sums).as_slice());
             }
-            *turn = ConditionalStep::Mean;
+            *next_step = ConditionalStep::Mean;
             mu.clone()
         }
     };
@@ -61,7 +61,7 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Con
     let of = |(part, tests): (&PhaseForm, &f64)| {
         maximise(&map.of_part(part), &part.of(&second), part.of(&point.root), tests.max(1.0))
     };
-    let root = map.assembled(map.parts.iter().zip(&problem.classes.present).map(of));
+    let root = map.block_diagonal(map.parts.iter().zip(&problem.classes.present).map(of));
     Point { mean: next_mean.as_slice().to_vec(), coefficients: point.coefficients.clone(), root }
 }
 
@@ -82,10 +82,10 @@ fn second_moment(
     tests: &DVector<f64>,
 ) -> DMatrix<f64> {
     let variance_reduction = sigma * (&sums.weight - sums.moment()) * sigma;
-    let spread = DMatrix::from_fn(variance_reduction.nrows(), variance_reduction.ncols(), |i, j| {
+    let posterior_variance = DMatrix::from_fn(variance_reduction.nrows(), variance_reduction.ncols(), |i, j| {
         sigma[(i, j)] - variance_reduction[(i, j)] / tests[i]
     });
-    spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
+    posterior_variance - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
 }
 
 /// A root of the Σ that maximises -log|Σ| - tr(Σ⁻¹M̄) within the structure of one phase.
@@ -118,28 +118,28 @@ fn regression_form(map: &CovarianceMap, blocks: &[Vec<usize>], second: &DMatrix<
     }
     let mut sigma = DMatrix::zeros(map.p, map.p);
     for block in blocks {
-        let held: Vec<usize> =
+        let fixed_rows: Vec<usize> =
             block.iter().copied().filter(|&i| block.iter().all(|&j| fixed(i, j).is_some())).collect();
-        let free: Vec<usize> = block.iter().copied().filter(|i| !held.contains(i)).collect();
+        let free: Vec<usize> = block.iter().copied().filter(|i| !fixed_rows.contains(i)).collect();
         if free.iter().any(|&i| free.iter().any(|&j| fixed(i, j).is_some())) {
             return None;
         }
         let entry = |i: usize, j: usize| fixed(i, j).expect("rows of the held set are fixed");
-        let sigma22 = DMatrix::from_fn(held.len(), held.len(), |i, j| entry(held[i], held[j]));
-        let sigma12 = DMatrix::from_fn(free.len(), held.len(), |i, j| entry(free[i], held[j]));
-        let b = if held.is_empty() {
+        let sigma22 = DMatrix::from_fn(fixed_rows.len(), fixed_rows.len(), |i, j| entry(fixed_rows[i], fixed_rows[j]));
+        let sigma12 = DMatrix::from_fn(free.len(), fixed_rows.len(), |i, j| entry(free[i], fixed_rows[j]));
+        let b = if fixed_rows.is_empty() {
             DMatrix::zeros(free.len(), 0)
         } else {
             &sigma12 * sigma22.clone().cholesky()?.inverse()
         };
-        let own = sub(second, &free);
-        let mixed = DMatrix::from_fn(free.len(), held.len(), |i, j| second[(free[i], held[j])]);
+        let own = submatrix(second, &free);
+        let mixed = DMatrix::from_fn(free.len(), fixed_rows.len(), |i, j| second[(free[i], fixed_rows[j])]);
         let part = &mixed * b.transpose();
-        let sigma11 = own - &part - part.transpose() + &b * (sub(second, &held) + &sigma22) * b.transpose();
+        let sigma11 = own - &part - part.transpose() + &b * (submatrix(second, &fixed_rows) + &sigma22) * b.transpose();
         place(&mut sigma, &free, &sigma11);
-        place(&mut sigma, &held, &sigma22);
+        place(&mut sigma, &fixed_rows, &sigma22);
         for (i, &f) in free.iter().enumerate() {
-            for (j, &h) in held.iter().enumerate() {
+            for (j, &h) in fixed_rows.iter().enumerate() {
                 sigma[(f, h)] = sigma12[(i, j)];
                 sigma[(h, f)] = sigma12[(i, j)];
             }
@@ -157,7 +157,7 @@ fn same(term: (usize, usize, f64), i: usize, j: usize) -> bool {
 fn correlation_step(root: &DMatrix<f64>, states: &[usize], second: &DMatrix<f64>) -> DMatrix<f64> {
     let own = DMatrix::from_fn(states.len(), root.ncols(), |i, c| root[(states[i], c)]);
     let inverse = symmetric::pseudo_inverse(&(&own * own.transpose()));
-    let a = inverse.component_mul(&sub(second, states));
+    let a = inverse.component_mul(&submatrix(second, states));
     let n = states.len();
     let mut u = DVector::from_fn(n, |i, _| a[(i, i)].max(f64::MIN_POSITIVE).sqrt().recip());
     for _ in 0..100 {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::covariance::{CovarianceMap, place, sub};
+use crate::covariance::{CovarianceMap, place, submatrix};
 use crate::local::{Local, Objective};
 use crate::newton::{Attempt, Damping, NewtonIterate};
 use crate::point::Point;
@@ -23,9 +23,9 @@ struct ExactTests<'a> {
 impl Objective for ExactTests<'_> {
     fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let p = self.second.nrows();
-        let factor = sub(&point.covariance(), self.random).cholesky()?;
+        let factor = submatrix(&point.covariance(), self.random).cholesky()?;
         let inverse = factor.inverse();
-        let moment = sub(self.second, self.random);
+        let moment = submatrix(self.second, self.random);
         let log_det = 2.0 * factor.l().diagonal().map(f64::ln).sum();
         let value = -0.5 * self.n * (log_det + (&inverse * &moment).trace());
         let mut weight = DMatrix::zeros(p, p);

@@ -97,21 +97,21 @@ fn local(sums: &Sums) -> Local {
 fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
     let mean = DVector::from_vec(frame.mean_in(&population.mean));
-    let away = &mean - &map.offset;
-    let on = &map.offset + &map.basis * (map.basis.transpose() * &away);
+    let deviation = &mean - &map.offset;
+    let by_structure = &map.offset + &map.basis * (map.basis.transpose() * &deviation);
     for i in 0..mean.len() {
-        if (mean[i] - on[i]).abs() > STRUCTURE_TOLERANCE * (1.0 + on[i].abs()) {
-            let (found, expected) = (population.mean[i], frame.centre[i] + frame.scale[i] * on[i]);
+        if (mean[i] - by_structure[i]).abs() > STRUCTURE_TOLERANCE * (1.0 + by_structure[i].abs()) {
+            let (found, expected) = (population.mean[i], frame.centre[i] + frame.scale[i] * by_structure[i]);
             return Err(ExpectedError::Off { element: Element::Mean(i), found, expected });
         }
     }
     let coefficients = population.coefficients.iter().zip(&map.coefficient_scale).map(|(c, s)| c * s).collect();
-    let root = root(&problem.covariance, &frame.covariance_in(&population.covariance)).map_err(|(i, j, on)| {
-        let expected = on * frame.scale[i] * frame.scale[j];
+    let root = root(&problem.covariance, &frame.covariance_in(&population.covariance)).map_err(|(i, j, by_structure)| {
+        let expected = by_structure * frame.scale[i] * frame.scale[j];
         let element = Element::Covariance(i, j);
         ExpectedError::Off { element, found: population.covariance[(i, j)], expected }
     })?;
-    Ok(Point { mean: on.as_slice().to_vec(), coefficients, root })
+    Ok(Point { mean: by_structure.as_slice().to_vec(), coefficients, root })
 }
 
 /// Variances below this fraction of the largest count as zero.
@@ -121,25 +121,25 @@ const ZERO_VARIANCE: f64 = 1e-18;
 /// structure.
 fn root(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, (usize, usize, f64)> {
     let root = map.root_of(&map.mask(sigma));
-    let on = &root * root.transpose();
+    let by_structure = &root * root.transpose();
     // in η all states are of about one size: a variance far smaller than the largest is zero with rounding errors
     let largest = (0..map.p).fold(0.0, |most: f64, i| most.max(sigma[(i, i)]));
-    let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(ZERO_VARIANCE * largest).sqrt();
+    let size = |i: usize| sigma[(i, i)].max(by_structure[(i, i)]).max(ZERO_VARIANCE * largest).sqrt();
     let (mut worst, mut most) = (None, STRUCTURE_TOLERANCE);
-    let mut note = |i: usize, j: usize, away: f64, value: f64| {
+    let mut note = |i: usize, j: usize, deviation: f64, value: f64| {
         let unit = (size(i) * size(j)).max(f64::MIN_POSITIVE);
-        if away.abs() > most * unit {
-            (worst, most) = (Some((i, j, value)), away.abs() / unit);
+        if deviation.abs() > most * unit {
+            (worst, most) = (Some((i, j, value)), deviation.abs() / unit);
         }
     };
     for i in 0..map.p {
         for j in 0..=i {
-            note(i, j, sigma[(i, j)] - on[(i, j)], on[(i, j)]);
+            note(i, j, sigma[(i, j)] - by_structure[(i, j)], by_structure[(i, j)]);
         }
     }
-    for (constraint, away) in map.constraints.iter().zip(map.residual(sigma).iter()) {
+    for (constraint, deviation) in map.constraints.iter().zip(map.residual(sigma).iter()) {
         let (i, j, x) = constraint.terms[0];
-        note(i, j, away / x, sigma[(i, j)] - away / x);
+        note(i, j, deviation / x, sigma[(i, j)] - deviation / x);
     }
     worst.map_or(Ok(root), Err)
 }

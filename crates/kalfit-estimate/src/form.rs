@@ -28,7 +28,7 @@ impl CovarianceMap {
             Some(linear) => linear.random(),
             None => (0..p).filter(|&i| !zero[i]).collect(),
         };
-        let numbers = |entries: &[Vec<Expression>], what| matrix(entries, alpha, what);
+        let numbers = |entries: &[Vec<Expression>], what| evaluate_matrix(entries, alpha, what);
         let form = match &structure.kind {
             CovarianceKind::Full | CovarianceKind::Linear { .. } => CoordinateForm::Factor(vec![random.clone()]),
             CovarianceKind::Diagonal => CoordinateForm::Factor(random.iter().map(|&i| vec![i]).collect()),
@@ -77,7 +77,7 @@ fn zero_variances(structure: &CovarianceStructure, p: usize) -> Vec<bool> {
 }
 
 /// Evaluates a matrix of expressions in parameters, and checks that the matrix is positive semidefinite.
-fn matrix(entries: &[Vec<Expression>], alpha: &Alpha, what: &str) -> Result<DMatrix<f64>, StructureError> {
+fn evaluate_matrix(entries: &[Vec<Expression>], alpha: &Alpha, what: &str) -> Result<DMatrix<f64>, StructureError> {
     let p = entries.len();
     let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
     let mut values = DMatrix::zeros(p, p);
@@ -112,16 +112,16 @@ fn is_fixed_zero(structure: &CovarianceStructure, i: usize, j: usize) -> bool {
 fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
     let mut result = Vec::new();
     for block in blocks {
-        let mut left = block;
-        while !left.is_empty() {
-            let mut component = vec![left.remove(0)];
-            let mut at = 0;
-            while at < component.len() {
-                let from = component[at];
-                let (joined, rest): (Vec<usize>, Vec<usize>) = left.iter().partition(|&&j| !is_zero(from, j));
+        let mut unassigned = block;
+        while !unassigned.is_empty() {
+            let mut component = vec![unassigned.remove(0)];
+            let mut position = 0;
+            while position < component.len() {
+                let from = component[position];
+                let (joined, rest): (Vec<usize>, Vec<usize>) = unassigned.iter().partition(|&&j| !is_zero(from, j));
                 component.extend(joined);
-                left = rest;
-                at += 1;
+                unassigned = rest;
+                position += 1;
             }
             component.sort_unstable();
             result.push(component);

@@ -59,7 +59,7 @@ impl Pooled {
         let units = &exact_units(reductions, order);
         let of = |part| Pooled::of((reductions, units), part, (p, regressors));
         let parts: Vec<Pooled> = order.par_chunks(TESTS_PER_SUM).map(of).collect();
-        parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
+        parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.plus(part))
     }
 
     /// The sums as a list; lists of several places can be added up.
@@ -123,7 +123,7 @@ impl Pooled {
         }
     }
 
-    fn and(mut self, other: &Pooled) -> Pooled {
+    fn plus(mut self, other: &Pooled) -> Pooled {
         let add = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
         add(&mut self.information, &other.information);
         add(&mut self.informed, &other.informed);

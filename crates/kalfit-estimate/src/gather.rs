@@ -92,16 +92,16 @@ fn set_count_and_covariates(reductions: &Reductions, tests: &[usize], frame: &Fr
 /// mean; g is multiplied by `units`.
 fn scatter((reductions, tests): (&Reductions, &[usize]), (offset, units): (&[f64], &[f64]), class: &mut Class) {
     let (rows, mean) = (offset.len(), &mut class.mean);
-    let own = |j: usize, i: usize| {
+    let datum = |j: usize, i: usize| {
         let data = reductions.data(j);
         let exact = |at: usize| reductions.exact(j).map_or(0.0, |exact| exact.values[at] * units[at]);
         data.get(i).copied().unwrap_or_else(|| exact(i - data.len()))
     };
     for &j in tests {
-        (0..rows).for_each(|i| mean[i] += own(j, i) - offset[i]);
+        (0..rows).for_each(|i| mean[i] += datum(j, i) - offset[i]);
     }
     mean.iter_mut().for_each(|m| *m /= tests.len() as f64);
-    let deviation = |j: usize, i: usize| own(j, i) - offset[i] - mean[i];
+    let deviation = |j: usize, i: usize| datum(j, i) - offset[i] - mean[i];
     if tests.len() == 1 {
         return;
     }

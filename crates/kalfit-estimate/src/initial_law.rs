@@ -23,20 +23,20 @@ pub fn law_at(problem: &Problem, point: &Point) -> InitialLaw {
 /// likelihood.
 pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
     let frame = &problem.classes.frame;
-    let (all, units) = (frame.scale.len(), problem.mean_units());
+    let (all_states, units) = (frame.scale.len(), problem.mean_units());
     let coefficients = point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s);
     // ξ of a test in groups is a sum over the levels
     let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
-    let p = all / levels;
+    let p = all_states / levels;
     let mean = frame.mean_out(&point.mean);
     let half = mean_covariance.map(|covariance| {
         let half = problem.mean.jacobian() * symmetric::square_root(covariance);
         let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
-        let entry = |k: usize, c: usize| if k < p { sum(k, c) } else { half[(k - p + all, c)] };
-        DMatrix::from_fn(half.nrows() - all + p, half.ncols(), entry)
+        let entry = |k: usize, c: usize| if k < p { sum(k, c) } else { half[(k - p + all_states, c)] };
+        DMatrix::from_fn(half.nrows() - all_states + p, half.ncols(), entry)
     });
     let in_units = |half: &DMatrix<f64>| {
-        DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| units[if k < p { k } else { k - p + all }] * half[(k, c)])
+        DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| units[if k < p { k } else { k - p + all_states }] * half[(k, c)])
     };
     let given = |units: &Arc<Units>| match problem.classes.remote {
         Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.message() }),
@@ -72,7 +72,7 @@ fn joint_posteriors(
 ) -> JointPosteriors {
     let p = units.states;
     let found = levels::posteriors(units, (point, regressors), None, half.is_some());
-    let one = |test: &TestPosterior| {
+    let test_posterior = |test: &TestPosterior| {
         if test.mean.is_empty() {
             return (DVector::zeros(0), DMatrix::zeros(0, 0)); // a test that is not among the reductions
         }
@@ -87,5 +87,5 @@ fn joint_posteriors(
         let root = DMatrix::from_fn(p, columns, |i, c| frame.scale[i] * entry(i, c));
         (DVector::from_iterator(p, mean), root)
     };
-    JointPosteriors::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
+    JointPosteriors::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(test_posterior).collect() }
 }

@@ -128,7 +128,7 @@ pub fn fit(
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
     let problem = problem(reductions, structure, settings)?;
-    Search::new(problem, settings, progress).run(Beginning::Open, structure)?.of_all(reductions)
+    Search::new(problem, settings, progress).run(Beginning::Open, structure)?.with_joint_likelihood(reductions)
 }
 
 /// Fits as [`fit`] does, from values near the optimum, such as the estimates under another structure or from other
@@ -141,7 +141,7 @@ pub fn fit_from(
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
     let problem = problem(reductions, structure, settings)?;
-    Search::new(problem, settings, progress).run(Beginning::Near(start), structure)?.of_all(reductions)
+    Search::new(problem, settings, progress).run(Beginning::Near(start), structure)?.with_joint_likelihood(reductions)
 }
 
 /// Fits as [`fit`] does, to other reductions of the tests of an ended search, from the point where that search ended
@@ -149,7 +149,7 @@ pub fn fit_from(
 pub fn fit_on(end: &FinalState, reductions: &Reductions, structure: &Structure<'_>) -> Result<Estimate, FitError> {
     let problem = Problem::within(&end.evidence(reductions), structure, &end.problem)?;
     let start = Beginning::At(end.newton_iterate.point.clone());
-    Search::new(problem, &end.settings, &mut Silent).run(start, structure)?.of_all(reductions)
+    Search::new(problem, &end.settings, &mut Silent).run(start, structure)?.with_joint_likelihood(reductions)
 }
 
 /// The problem, the point where a search would begin, and the sums at that point with the expected information.

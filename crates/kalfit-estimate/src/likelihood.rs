@@ -97,16 +97,16 @@ impl Likelihood {
         let places: Vec<f64> = sums.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
         let score = sums.score();
         let second = order == Order::Second;
-        let over = |m: DMatrix<f64>, rows: &[f64], columns: &[f64]| {
+        let in_user_units = |m: DMatrix<f64>, rows: &[f64], columns: &[f64]| {
             DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] / (rows[i] * columns[j]))
         };
         Evaluation {
             log_likelihood: sums.value,
             mean_score: DVector::from_fn(p, |i, _| sums.mean_score[i] / scale[i]),
-            covariance_score: over(score, scale, scale),
-            mean_information: over(sums.mean_information.clone(), scale, scale),
-            covariance_information: second.then(|| over(sums.observed_information(), &places, &places)),
-            cross_information: second.then(|| over(sums.cross_information(), scale, &places)),
+            covariance_score: in_user_units(score, scale, scale),
+            mean_information: in_user_units(sums.mean_information.clone(), scale, scale),
+            covariance_information: second.then(|| in_user_units(sums.observed_information(), &places, &places)),
+            cross_information: second.then(|| in_user_units(sums.cross_information(), scale, &places)),
         }
     }
 }

@@ -7,7 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::covariance::{Constraint, CovarianceMap, place, sub};
+use crate::covariance::{Constraint, CovarianceMap, place, submatrix};
 use crate::frame::Frame;
 use kalfit_algebra::echelon::echelon;
 use kalfit_algebra::symmetric;
@@ -122,7 +122,7 @@ pub(crate) fn member(map: &CovarianceMap, wanted: &DMatrix<f64>) -> DMatrix<f64>
     for round in 0..MAX_PROJECTIONS {
         let step = &transposed_normals * (&solve * map.residual(&sigma));
         sigma -= map.elements.unpack(&step);
-        let own = sub(&sigma, &map.random);
+        let own = submatrix(&sigma, &map.random);
         let floor = if round < MAX_PROJECTIONS / 2 { INTERIOR_EIGENVALUE } else { 0.0 };
         let (size, values, vectors) = symmetric::scaled_eigen(&own);
         if values.first().is_none_or(|least| *least >= 0.5 * floor) {

@@ -217,8 +217,8 @@ fn multipliers(
             }
         }
         let own = in_sigma.select_rows(&inactive) * DMatrix::from_diagonal(&size);
-        let left = (score - in_sigma.transpose() * &found).component_mul(&size);
-        let shared = symmetric::pseudo_solve(&(&own * own.transpose()), &(&own * left));
+        let unexplained_score = (score - in_sigma.transpose() * &found).component_mul(&size);
+        let shared = symmetric::pseudo_solve(&(&own * own.transpose()), &(&own * unexplained_score));
         inactive.iter().zip(shared.iter()).for_each(|(&m, share)| found[m] = *share);
     }
     found

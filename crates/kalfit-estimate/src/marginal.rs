@@ -63,20 +63,20 @@ impl Difference {
     fn remainder(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
         let (earlier, q) = (unpack(&before.factor, before.data.len()), own.nrows());
         let from = earlier.nrows();
-        let spread = Rotations::<f64>::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
+        let noise_factor = Rotations::<f64>::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
         let residual = data - &own * &link.mean;
         let mut rows = DMatrix::zeros(q, from + q + 1);
         rows.view_mut((0, 0), (q, from)).copy_from(&(&own * &link.sensitivity));
         rows.view_mut((0, from), (q, q)).copy_from(&own);
         rows.set_column(from + q, &residual);
-        let whitened = Rows::solved_transposed(&spread, Rows::from(&rows));
-        let mut all = DMatrix::zeros(from + q, from + q + 1);
-        all.view_mut((0, 0), (from, from)).copy_from(&earlier);
-        all.view_mut((0, from + q), (from, 1)).copy_from_slice(&before.data);
-        (0..q).for_each(|i| (0..from + q + 1).for_each(|k| all[(from + i, k)] = whitened[(i, k)]));
-        let earlier_columns = all.columns(0, from).clone_owned();
+        let whitened = Rows::solved_transposed(&noise_factor, Rows::from(&rows));
+        let mut stacked_rows = DMatrix::zeros(from + q, from + q + 1);
+        stacked_rows.view_mut((0, 0), (from, from)).copy_from(&earlier);
+        stacked_rows.view_mut((0, from + q), (from, 1)).copy_from_slice(&before.data);
+        (0..q).for_each(|i| (0..from + q + 1).for_each(|k| stacked_rows[(from + i, k)] = whitened[(i, k)]));
+        let earlier_columns = stacked_rows.columns(0, from).clone_owned();
         let range = range(&earlier_columns, &earlier_columns);
-        let rest = all.columns(from, q + 1).clone_owned();
+        let rest = stacked_rows.columns(from, q + 1).clone_owned();
         let kept = &rest - &range * (range.transpose() * &rest);
         let full = rest.columns(0, q).clone_owned();
         Difference::on_its_range(&full, kept.columns(0, q).clone_owned(), kept.column(q).clone_owned())

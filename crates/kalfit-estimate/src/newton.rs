@@ -178,17 +178,17 @@ pub(crate) fn moved(
     iterate: &NewtonIterate,
     step: &DVector<f64>,
 ) -> Option<Point> {
-    let free = iterate.tangent.basis.times(step);
+    let free_step = iterate.tangent.basis.times(step);
     let q = iterate.tangent.mean;
-    let mut point = objective.move_mean(&iterate.point, &free.as_slice()[..q]);
-    let step = free.rows(q, free.len() - q).clone_owned();
+    let mut point = objective.move_mean(&iterate.point, &free_step.as_slice()[..q]);
+    let step = free_step.rows(q, free_step.len() - q).clone_owned();
     point.root = retract(map, &iterate.tangent.chart, step)?;
     Some(point)
 }
 
 impl CovarianceMap {
     /// A root F near `root` with FF' on the constraints; `None` where Newton's method finds no such root.
-    pub fn onto(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    pub fn on_constraints(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let chart = self.chart(root);
         let no_step = DVector::zeros(chart.coordinates.len());
         retract(self, &chart, no_step)

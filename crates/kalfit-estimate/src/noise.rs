@@ -47,7 +47,7 @@ impl ScalableNoise {
         settings: &Settings,
     ) -> Result<ScalableNoise, FitError> {
         let classes = problem(reductions, structure, settings)?.classes;
-        let sum = |residuals: &mut dyn Iterator<Item = Residual>| residuals.fold(Residual::default(), Residual::and);
+        let sum = |residuals: &mut dyn Iterator<Item = Residual>| residuals.fold(Residual::default(), Residual::plus);
         let of_test = |&j: &usize| Residual::of(reductions, j);
         let residuals: Vec<Residual> =
             (0..classes.len()).map(|k| sum(&mut classes.tests_of(k).iter().map(of_test))).collect();

@@ -64,13 +64,13 @@ pub(crate) fn pass(
     if let Some(units) = &classes.units {
         return levels::pass(units, point, wanted);
     }
-    let apart: Vec<ClassRef<'_>> = classes.unbatched.iter().map(|&number| classes.listed.get(number)).collect();
-    let mut sums = one_by_one(&apart, point, wanted);
+    let single_classes: Vec<ClassRef<'_>> = classes.unbatched.iter().map(|&number| classes.listed.get(number)).collect();
+    let mut sums = one_by_one(&single_classes, point, wanted);
     sums.value += classes.blocks.constant() + classes.shared.constant();
     classes.blocks.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
     classes.shared.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
     let needs_rotations = add_chains(&mut sums, classes, point, wanted);
-    if needs_rotations.is_empty() { sums } else { sums.and(1.0, &one_by_one(&needs_rotations, point, wanted)) }
+    if needs_rotations.is_empty() { sums } else { sums.plus_times(1.0, &one_by_one(&needs_rotations, point, wanted)) }
 }
 
 /// The finite value sent in place of ℓ = -∞, so that sums can be added up.
@@ -98,15 +98,15 @@ pub(super) fn pass_for_remote(
 fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
     let of = |blocks: &[Arc<Packed>]| isa.run(ChainKernel { blocks, classes: &classes.listed, point, wanted });
-    let each = classes.chains.len().div_ceil(MAX_CHAIN_TASKS).max(CLASSES_PER_TASK / isa.lanes());
-    let all: Vec<ChainSums> = classes.chains.par_chunks(each).map(of).collect();
-    let mut left = Vec::new();
-    for ChainSums { totals, constant, needs_rotations } in all {
+    let classes_per_task = classes.chains.len().div_ceil(MAX_CHAIN_TASKS).max(CLASSES_PER_TASK / isa.lanes());
+    let chain_sums: Vec<ChainSums> = classes.chains.par_chunks(classes_per_task).map(of).collect();
+    let mut failed_classes = Vec::new();
+    for ChainSums { totals, constant, needs_rotations } in chain_sums {
         sums.value += constant;
         sums.take(totals);
-        left.extend(needs_rotations.into_iter().map(|number| classes.listed.get(number)));
+        failed_classes.extend(needs_rotations.into_iter().map(|number| classes.listed.get(number)));
     }
-    left
+    failed_classes
 }
 
 /// Sums over classes that are evaluated one by one.
@@ -123,8 +123,8 @@ pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWa
         }
         (chunk.iter().map(|class| class.constant).sum(), sums.totals())
     };
-    let each = CLASSES_PER_TASK.max(classes.len().div_ceil(max_tasks(wanted.elements.states())));
-    let chunks: Vec<(f64, ClassSums)> = classes.par_chunks(each).map(of_chunk).collect();
+    let classes_per_task = CLASSES_PER_TASK.max(classes.len().div_ceil(max_tasks(wanted.elements.states())));
+    let chunks: Vec<(f64, ClassSums)> = classes.par_chunks(classes_per_task).map(of_chunk).collect();
     let mut sums = wanted.zero();
     for (constant, totals) in chunks {
         sums.value += constant;

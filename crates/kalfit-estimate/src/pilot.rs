@@ -18,14 +18,14 @@ const MIN_THINNING: usize = 8;
 /// a pilot worthwhile.
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
-    let wanted = MIN_CLASSES.max(CLASSES_PER_COORDINATE * coordinates);
+    let min_count = MIN_CLASSES.max(CLASSES_PER_COORDINATE * coordinates);
     // tests in groups are selected by whole units; their restricted likelihood would need all designs
     let all = match &whole.classes.units {
         Some(_) if whole.criterion() == Criterion::Reml => return Ok(None),
         Some(units) => units.len(),
         None => whole.classes.len(),
     };
-    let every = all / wanted;
+    let every = all / min_count;
     if every < MIN_THINNING {
         return Ok(None);
     }

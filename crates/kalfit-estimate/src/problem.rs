@@ -140,9 +140,9 @@ impl Problem {
     /// [`unrestricted`](Problem::unrestricted) sums over all tests at a point; always true under maximum likelihood.
     pub fn informed_without(&self, all: &Sums, class: &Class, point: &Point) -> bool {
         let Some(restriction) = &self.restriction else { return true };
-        let free = |of: &DMatrix<f64>| self.mean_jacobian.transpose() * of * &self.mean_jacobian;
-        let own = self.of_class(class, point, Order::Mean);
-        restriction.informs(&free(&(&all.mean_information - &own.mean_information)), &free(&all.mean_information))
+        let in_free_coordinates = |of: &DMatrix<f64>| self.mean_jacobian.transpose() * of * &self.mean_jacobian;
+        let class_sums = self.of_class(class, point, Order::Mean);
+        restriction.informs(&in_free_coordinates(&(&all.mean_information - &class_sums.mean_information)), &in_free_coordinates(&all.mean_information))
     }
 
     /// The objective and its derivatives without one class of tests, from the [`unrestricted`](Problem::unrestricted)
@@ -150,8 +150,8 @@ impl Problem {
     /// tests of all other classes, provided that these tests inform every direction of the mean that all tests inform.
     pub fn without(&self, all: Sums, class: &Class, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         let flat = self.flat(near);
-        let own = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
-        self.restricted(all.and(-1.0, &own))
+        let class_sums = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
+        self.restricted(all.plus_times(-1.0, &class_sums))
     }
 
     /// Sets whether the next point may be the last: the expected information is needed at the last point, and one pass
@@ -265,8 +265,8 @@ impl Objective for Problem {
         }
         let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
         *last() = None; // the memory of the last sums is needed
-        let asked = || self.sums(point, Order::Expected, near);
-        let sums = if near_end { self.with_score(point, asked) } else { asked() }?;
+        let expected_sums = || self.sums(point, Order::Expected, near);
+        let sums = if near_end { self.with_score(point, expected_sums) } else { expected_sums() }?;
         let mut sums = sums.with_folded_expected();
         let local = Local::of(&mut sums);
         *last() = Some((point.clone(), sums.only_expected()));

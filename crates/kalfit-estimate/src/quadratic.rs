@@ -80,7 +80,7 @@ fn with_zero_columns(
     limits: ClimbLimits,
 ) -> NewtonIterate {
     for _ in 0..end.point.root.ncols() {
-        let root = without_least_column(map, &end.point.root).and_then(|root| map.onto(&root));
+        let root = without_least_column(map, &end.point.root).and_then(|root| map.on_constraints(&root));
         let Some(root) = root else { break };
         let next = end.try_successor(model, |end| {
             let next = NewtonIterate::new(model, map, Point { root, ..end.point.clone() }, None)?;
@@ -126,18 +126,18 @@ impl<'a> LocalQuadratic<'a> {
     }
 
     /// The information in mean coordinates and elements of Σ, times a vector.
-    fn pull(&self, displacement: &DVector<f64>) -> DVector<f64> {
+    fn gradient_change(&self, displacement: &DVector<f64>) -> DVector<f64> {
         let local = &self.iterate.local;
         let (m, s) = local.cross.shape();
         let (mean, sigma) = (displacement.rows(0, m), displacement.rows(m, s));
-        let mut pull = DVector::zeros(m + s);
-        let mut of_mean = pull.rows_mut(0, m);
+        let mut gradient_change = DVector::zeros(m + s);
+        let mut of_mean = gradient_change.rows_mut(0, m);
         of_mean.gemv(1.0, &local.mean_information, &mean, 0.0);
         of_mean.gemv(1.0, &local.cross, &sigma, 1.0);
-        let mut of_sigma = pull.rows_mut(m, s);
+        let mut of_sigma = gradient_change.rows_mut(m, s);
         of_sigma.gemv(1.0, &local.cross.transpose(), &mean, 0.0);
         of_sigma.gemv(1.0, &*local.information, &sigma, 1.0);
-        pull
+        gradient_change
     }
 
     fn displacement(&self, point: &Point) -> DVector<f64> {
@@ -158,22 +158,22 @@ impl<'a> LocalQuadratic<'a> {
 
 /// Whether every variance v of Σ at the old point is at most 4 (1 + v) at the new one: farther away, a model of second
 /// order is unreliable.
-fn is_near(point: &Point, from: &Point) -> bool {
-    let spread = |point: &Point, i: usize| point.root.row(i).norm_squared();
-    (0..point.mean.len()).all(|i| spread(point, i) <= MAX_VARIANCE_RATIO * (1.0 + spread(from, i)))
+fn is_near(point: &Point, reference: &Point) -> bool {
+    let variance = |point: &Point, i: usize| point.root.row(i).norm_squared();
+    (0..point.mean.len()).all(|i| variance(point, i) <= MAX_VARIANCE_RATIO * (1.0 + variance(reference, i)))
 }
 
 impl Objective for LocalQuadratic<'_> {
     fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let (p, m) = (point.mean.len(), self.iterate.local.mean_score.len());
         let displacement = self.displacement(point);
-        let pull = self.pull(&displacement);
-        let gradient = &self.gradient - &pull;
+        let gradient_change = self.gradient_change(&displacement);
+        let gradient = &self.gradient - &gradient_change;
         let packed = |i: usize, j: usize| self.elements.get(i, j).map_or(0.0, |k| gradient[m + k]);
         let score = |i: usize, j: usize| packed(i, j) * if i == j { 1.0 } else { 0.5 };
         let local = &self.iterate.local;
         Some(Local {
-            value: local.value + displacement.dot(&(&self.gradient - pull * 0.5)),
+            value: local.value + displacement.dot(&(&self.gradient - gradient_change * 0.5)),
             mean_score: gradient.rows(0, m).clone_owned(),
             mean_information: local.mean_information.clone(),
             score: DMatrix::from_fn(p, p, score),

@@ -20,7 +20,7 @@ const SHARPNESS: [f64; 6] = [1.0, 4.0, 16.0, 64.0, 256.0, 1024.0];
 const ZERO_EFFECT: f64 = 1e-9;
 
 /// Matrices Λ (p × p), combinations of the constraints, with ΛF = 0.
-pub(crate) fn undetermined(constraints: &[Constraint], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
+pub(crate) fn undetermined_multipliers(constraints: &[Constraint], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     let (p, n) = root.shape();
     let mut matrices: Vec<DMatrix<f64>> = constraints.iter().map(|c| matrix(c, p)).collect();
     if matrices.is_empty() {
@@ -51,24 +51,24 @@ fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
 
 /// (A - Σ t_m S_m, P): the matrix with its largest eigenvalue made as small as possible by the t_m, and the density
 /// matrix P that proves the minimum.
-pub(crate) fn relax(a: &DMatrix<f64>, free: &[DMatrix<f64>]) -> (DMatrix<f64>, DMatrix<f64>) {
-    let free = orthonormal(free);
+pub(crate) fn minimise_largest_eigenvalue(a: &DMatrix<f64>, multiplier_matrices: &[DMatrix<f64>]) -> (DMatrix<f64>, DMatrix<f64>) {
+    let multiplier_matrices = orthonormal(multiplier_matrices);
     let mut best = a.clone();
     let mut proof = density(a, f64::INFINITY).1;
-    if free.is_empty() {
+    if multiplier_matrices.is_empty() {
         return (best, proof);
     }
     let size = a.amax().max(f64::MIN_POSITIVE);
-    let mut now = a.clone();
+    let mut current = a.clone();
     let mut least = f64::INFINITY;
     for sharpness in SHARPNESS.map(|s| s / size) {
         for _ in 0..STEPS_PER_SHARPNESS {
-            let (largest, p) = density(&now, sharpness);
+            let (largest, p) = density(&current, sharpness);
             if largest < least {
-                (least, best, proof) = (largest, now.clone(), p.clone());
+                (least, best, proof) = (largest, current.clone(), p.clone());
             }
-            let slopes: Vec<f64> = free.iter().map(|s| p.component_mul(s).sum()).collect();
-            free.iter().zip(&slopes).for_each(|(s, slope)| now -= s * (slope / sharpness));
+            let slopes: Vec<f64> = multiplier_matrices.iter().map(|s| p.component_mul(s).sum()).collect();
+            multiplier_matrices.iter().zip(&slopes).for_each(|(s, slope)| current -= s * (slope / sharpness));
         }
     }
     (best, proof)
@@ -85,16 +85,16 @@ fn density(a: &DMatrix<f64>, sharpness: f64) -> (f64, DMatrix<f64>) {
 }
 
 /// Matrices with the same span, orthonormal in tr(ST).
-fn orthonormal(free: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
-    let n = free.len();
-    let gram = DMatrix::from_fn(n, n, |a, b| free[a].component_mul(&free[b]).sum());
+fn orthonormal(multiplier_matrices: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
+    let n = multiplier_matrices.len();
+    let gram = DMatrix::from_fn(n, n, |a, b| multiplier_matrices[a].component_mul(&multiplier_matrices[b]).sum());
     let (values, vectors) = symmetric::eigen(&gram);
     let floor = values.last().copied().unwrap_or(0.0) * ZERO_EFFECT;
     (0..n)
         .filter(|&k| values[k] > floor && values[k] > 0.0)
         .map(|k| {
-            let zero = DMatrix::zeros(free[0].nrows(), free[0].ncols());
-            free.iter().zip(vectors.column(k).iter()).fold(zero, |sum, (s, v)| sum + s * (*v / values[k].sqrt()))
+            let zero = DMatrix::zeros(multiplier_matrices[0].nrows(), multiplier_matrices[0].ncols());
+            multiplier_matrices.iter().zip(vectors.column(k).iter()).fold(zero, |sum, (s, v)| sum + s * (*v / values[k].sqrt()))
         })
         .collect()
 }
@@ -108,7 +108,7 @@ mod tests {
         // diag(3, -1) less t diag(1, -1): both are one at t = 2
         let a = DMatrix::from_diagonal(&DVector::from_column_slice(&[3.0, -1.0]));
         let s = DMatrix::from_diagonal(&DVector::from_column_slice(&[2.0, -2.0]));
-        let (best, p) = relax(&a, std::slice::from_ref(&s));
+        let (best, p) = minimise_largest_eigenvalue(&a, std::slice::from_ref(&s));
         let largest = *symmetric::eigen(&best).0.last().expect("two");
         assert!((largest - 1.0).abs() < 0.02, "{largest} 1");
         assert!(p.component_mul(&s).sum().abs() < 0.2, "{p}");
@@ -117,10 +117,10 @@ mod tests {
         let rotated = |diagonal: [f64; 3]| {
             &rotation * DMatrix::from_diagonal(&DVector::from_column_slice(&diagonal)) * rotation.transpose()
         };
-        let free = [rotated([1.0, -1.0, 0.0]), rotated([0.5, 1.0, -1.5])];
+        let multiplier_matrices = [rotated([1.0, -1.0, 0.0]), rotated([0.5, 1.0, -1.5])];
         for of in [[3.0_f64, -1.0, 0.4], [-2.0, 5.0, 0.0], [0.1, 0.2, -4.0]] {
             let (size, mean) = (of.iter().fold(0.0, |most: f64, x| most.max(x.abs())), of.iter().sum::<f64>() / 3.0);
-            let (best, p) = relax(&rotated(of), &free);
+            let (best, p) = minimise_largest_eigenvalue(&rotated(of), &multiplier_matrices);
             let largest = *symmetric::eigen(&best).0.last().expect("three");
             assert!(largest >= mean - 1e-12 && largest < mean + 2e-3 * size, "{of:?}: {largest} {mean}");
             assert!((best.trace() - 3.0 * mean).abs() < 1e-12 * size, "only along the free ones: {best}");
@@ -129,7 +129,7 @@ mod tests {
             assert!((p.trace() - 1.0).abs() < 1e-12 && (bound - mean).abs() < 0.1 * size, "{of:?}: {bound} {mean}");
         }
         // a free direction with a trace makes the largest eigenvalue as negative as one likes
-        let (best, _) = relax(&a, &[DMatrix::identity(2, 2)]);
+        let (best, _) = minimise_largest_eigenvalue(&a, &[DMatrix::identity(2, 2)]);
         assert!(*symmetric::eigen(&best).0.last().expect("two") < 0.0);
     }
 }

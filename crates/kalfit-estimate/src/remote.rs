@@ -64,13 +64,13 @@ impl Classes {
     /// The classes of remote tests, in coordinates from the survey of all of them.
     pub(super) fn of_remote(remote: &Remote, (elements, regressors): (Elements, usize), chained: bool) -> Classes {
         let (blocks, sizes) = (elements.blocks().len(), (elements.states(), regressors));
-        let told = || {
+        let survey_totals = || {
             let numbers = remote.ask(Question::Survey)?;
             let (head, rest) = numbers.split_first_chunk()?;
             let (present, pooled) = rest.split_at_checked(blocks)?;
             Some((Counts::read(*head).tests, present.to_vec(), Pooled::of_numbers(sizes, pooled)?))
         };
-        let (tests, present, pooled) = told().unwrap_or_else(|| (0, vec![0.0; blocks], Pooled::none(sizes)));
+        let (tests, present, pooled) = survey_totals().unwrap_or_else(|| (0, vec![0.0; blocks], Pooled::none(sizes)));
         Classes::of_survey(remote, (tests, present, &pooled), (elements, chained))
     }
 }
@@ -79,8 +79,8 @@ impl Classes {
 pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| Flat {
         free: flat.jacobian.ncols(),
-        jacobian: list(flat.jacobian),
-        covariance: flat.covariance.map(list),
+        jacobian: column_list(flat.jacobian),
+        covariance: flat.covariance.map(column_list),
     });
     let (frame, place) = (classes.frame.clone(), point.message());
     let answer = remote.ask(Question::Pass { frame, place, detail: wanted.order, flat });
@@ -99,11 +99,11 @@ pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DV
 impl Point {
     /// The point in the form that is sent to remote places.
     pub(super) fn message(&self) -> Place {
-        Place { mean: self.mean.clone(), coefficients: self.coefficients.clone(), root: list(&self.root) }
+        Place { mean: self.mean.clone(), coefficients: self.coefficients.clone(), root: column_list(&self.root) }
     }
 }
 
 /// A matrix as a list by columns.
-pub(super) fn list(matrix: &DMatrix<f64>) -> Vec<f64> {
+pub(super) fn column_list(matrix: &DMatrix<f64>) -> Vec<f64> {
     matrix.as_slice().to_vec()
 }

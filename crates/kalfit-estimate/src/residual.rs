@@ -21,7 +21,7 @@ impl Residual {
         Residual { measurements: observations as f64, squares }
     }
 
-    pub(crate) fn and(self, other: Residual) -> Residual {
+    pub(crate) fn plus(self, other: Residual) -> Residual {
         Residual { measurements: self.measurements + other.measurements, squares: self.squares + other.squares }
     }
 

@@ -58,7 +58,7 @@ pub struct Estimate {
 impl Estimate {
     /// Adds the log-likelihood of all phases together, where another function was maximised; an error where ℓ is
     /// unbounded.
-    pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
+    pub(super) fn with_joint_likelihood(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
         let classes = &self.state.problem.classes;
         if self.stop != Stop::Certified
             && let Some(class) = classes.singular_exact_class(&self.state.newton_iterate.point)

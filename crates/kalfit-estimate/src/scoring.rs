@@ -53,11 +53,11 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
         let (own, before) = (map.of_part(part), part.of(&point.root));
         match &part.form {
             CoordinateForm::Fixed(_) => before,
-            _ => grown(&part.of(&chart.root), &part.of(&change), own.constraints.is_empty())
+            _ => bounded_sum(&part.of(&chart.root), &part.of(&change), own.constraints.is_empty())
                 .map_or(before, |sigma| own.root_of(&sigma)),
         }
     };
-    next.root = map.assembled(map.parts.iter().map(of));
+    next.root = map.block_diagonal(map.parts.iter().map(of));
     (next, promised)
 }
 
@@ -92,7 +92,7 @@ fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMa
 
 /// Σ + change, with the change reduced where Σ + change would fall below a tenth of Σ = FF': direction by direction, or
 /// as a whole where constraints must be kept.
-fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
+fn bounded_sum(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
     let (size, values, vectors) = symmetric::scaled_eigen(&(root * root.transpose()));
     let largest = values.last().copied().filter(|v| *v > 0.0)?;
     // only within the range of Σ, where a relative change is defined; zero rows (fixed variances) stay zero
@@ -104,8 +104,8 @@ fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Opti
     let relative = &inverse * change * inverse.transpose();
     let (relative, directions) = symmetric::eigen(&relative);
     let worst = relative.first().copied().unwrap_or(0.0);
-    let whole = if by_direction || worst > -LARGEST_LOSS { 1.0 } else { LARGEST_LOSS / -worst };
-    let factors = relative.iter().map(|m| 1.0 + (whole * m).max(-LARGEST_LOSS));
+    let shrinkage = if by_direction || worst > -LARGEST_LOSS { 1.0 } else { LARGEST_LOSS / -worst };
+    let factors = relative.iter().map(|m| 1.0 + (shrinkage * m).max(-LARGEST_LOSS));
     let factors = DMatrix::from_diagonal(&DVector::from_iterator(relative.len(), factors));
     let rotated = half * directions;
     Some(&rotated * factors * rotated.transpose())

@@ -81,7 +81,7 @@ impl<'a> Search<'a> {
         };
         let (iterate, stop) = match self.settings.solver {
             Solver::Newton => {
-                let began = start.root.clone();
+                let start_root = start.root.clone();
                 let first = match is_near {
                     true => self.iterate(start, None)?,
                     false => match self.pilot_start(&start, structure)? {
@@ -90,7 +90,7 @@ impl<'a> Search<'a> {
                     },
                 };
                 let (iterate, stop) = self.newton(first)?;
-                (self.restored(iterate, &began)?, stop)
+                (self.restored(iterate, &start_root)?, stop)
             }
             Solver::Em => self.em(start)?,
         };
@@ -115,7 +115,7 @@ impl<'a> Search<'a> {
     }
 
     /// The iterate at a point whose sums are computed already.
-    fn known(&self, point: Point, mut sums: Sums) -> Result<NewtonIterate, FitError> {
+    fn iterate_from_sums(&self, point: Point, mut sums: Sums) -> Result<NewtonIterate, FitError> {
         let problem = &self.problem;
         NewtonIterate::at(Local::of(&mut sums), problem.mean_jacobian(), &problem.covariance, point)
             .ok_or(FitError::NotFinite)
@@ -151,8 +151,8 @@ impl<'a> Search<'a> {
                     && iterate.decrement() < LAST_STEP_DECREMENT
                     && !std::mem::replace(&mut tried_at_zero, true)
                 {
-                    let closer = 0.5 * iterate.decrement();
-                    next = self.with_zero_columns(&mut iterate, EARLY_SNAP_SIZE, closer)?;
+                    let half_decrement = 0.5 * iterate.decrement();
+                    next = self.with_zero_columns(&mut iterate, EARLY_SNAP_SIZE, half_decrement)?;
                 }
                 if let Some(next) = next {
                     iterate = next;
@@ -207,9 +207,9 @@ impl<'a> Search<'a> {
             point = scoring::with_least_squares_mean(&self.problem, point).ok_or(FitError::NotFinite)?;
             let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
             let before = best.as_ref().map(|(sums, _)| sums.value);
-            if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
+            if let Some((best_sums, at)) = best.take_if(|(best_sums, _)| sums.value.is_nan() || sums.value < best_sums.value) {
                 drop(sums);
-                return self.known(at, kept);
+                return self.iterate_from_sums(at, best_sums);
             }
             self.accept(sums.value, None);
             let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
@@ -225,7 +225,7 @@ impl<'a> Search<'a> {
         }
         let iterate = self.iterate(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
         match best.filter(|(sums, _)| sums.value > iterate.local.value) {
-            Some((sums, point)) => self.known(point, sums),
+            Some((sums, point)) => self.iterate_from_sums(point, sums),
             None => Ok(iterate),
         }
     }
@@ -295,8 +295,8 @@ impl<'a> Search<'a> {
         mut stop: Stop,
         structure: &Structure<'_>,
     ) -> Result<Estimate, FitError> {
-        let enough = iterate.decrement().max(self.settings.tolerance);
-        iterate = self.with_zero_columns(&mut iterate, SNAP_SIZE, enough)?.unwrap_or(iterate);
+        let max_decrement = iterate.decrement().max(self.settings.tolerance);
+        iterate = self.with_zero_columns(&mut iterate, SNAP_SIZE, max_decrement)?.unwrap_or(iterate);
         if self.problem.criterion() == Criterion::Reml {
             // the second derivatives are exact only with the covariance of the mean at this very point
             let same = iterate.point.clone();
@@ -327,9 +327,9 @@ impl<'a> Search<'a> {
         let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
         let Some(root) = unobserved::restored(map, information, start, &iterate.point.root) else { return Ok(iterate) };
         let point = Point { root, ..iterate.point.clone() };
-        let enough = iterate.decrement().max(self.settings.tolerance);
+        let max_decrement = iterate.decrement().max(self.settings.tolerance);
         let fine =
-            |next: &NewtonIterate, iterate: &NewtonIterate| is_as_good(next, iterate) && next.decrement() <= enough;
+            |next: &NewtonIterate, iterate: &NewtonIterate| is_as_good(next, iterate) && next.decrement() <= max_decrement;
         Ok(self.try_successor(&mut iterate, point, fine)?.unwrap_or(iterate))
     }
 
@@ -339,7 +339,7 @@ impl<'a> Search<'a> {
         &mut self,
         iterate: &mut NewtonIterate,
         size: f64,
-        enough: f64,
+        max_decrement: f64,
     ) -> Result<Option<NewtonIterate>, FitError> {
         let mut root = iterate.point.root.clone();
         let mut changed = false;
@@ -355,9 +355,9 @@ impl<'a> Search<'a> {
         if !changed {
             return Ok(None);
         }
-        let Some(root) = self.problem.covariance.onto(&root) else { return Ok(None) };
+        let Some(root) = self.problem.covariance.on_constraints(&root) else { return Ok(None) };
         let point = Point { root, ..iterate.point.clone() };
-        self.try_successor(iterate, point, |next, iterate| is_as_good(next, iterate) && next.decrement() <= enough)
+        self.try_successor(iterate, point, |next, iterate| is_as_good(next, iterate) && next.decrement() <= max_decrement)
     }
 }
 

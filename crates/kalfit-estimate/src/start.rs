@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::covariance::{CovarianceMap, PhaseForm, sub};
+use crate::covariance::{CovarianceMap, PhaseForm, submatrix};
 use crate::point::Point;
 use crate::problem::{Problem, scaled_solve};
 use crate::{Classes, FitError, Structure, linear, pilot};
@@ -30,7 +30,7 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
         part_root(&map.of_part(part), part.linear, &sigma)
     };
     let parts: Vec<DMatrix<f64>> = map.parts.iter().map(of).collect::<Result<_, FitError>>()?;
-    Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root: map.assembled(parts) })
+    Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root: map.block_diagonal(parts) })
 }
 
 /// A root for one phase, with FF' near the given Σ.
@@ -40,7 +40,7 @@ fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<
     }
     if linear {
         let root = map.root_of(&linear::member(map, &map.mask(sigma)));
-        return Ok(map.onto(&root).ok_or(StructureError::NoMember)?);
+        return Ok(map.on_constraints(&root).ok_or(StructureError::NoMember)?);
     }
     feasible(map, sigma)
 }
@@ -56,7 +56,7 @@ pub fn generic_root(problem: &Problem) -> DMatrix<f64> {
         }
         feasible(&own, &sigma).unwrap_or_else(|_| own.root_of(&own.mask(&sigma)))
     };
-    map.assembled(map.parts.iter().map(of))
+    map.block_diagonal(map.parts.iter().map(of))
 }
 
 /// [`near`] treats Σ as singular when a scaled eigenvalue is below this.
@@ -72,13 +72,13 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     let sigma = map.mask(&frame.covariance_in(&values.covariance));
     let of = |part: &PhaseForm| {
         let (own, mut sigma) = (map.of_part(part), part.of(&sigma));
-        if symmetric::scaled_range(&sub(&sigma, &own.random)).0 < SINGULAR_EIGENVALUE {
+        if symmetric::scaled_range(&submatrix(&sigma, &own.random)).0 < SINGULAR_EIGENVALUE {
             own.random.iter().for_each(|&i| sigma[(i, i)] += MIN_START_VARIANCE.max(0.01 * sigma[(i, i)]));
         }
         if own.constraints.is_empty() { Ok(own.root_of(&sigma)) } else { feasible(&own, &sigma) }
     };
     let parts: Vec<DMatrix<f64>> = map.parts.iter().map(of).collect::<Result<_, FitError>>()?;
-    let root = map.assembled(parts);
+    let root = map.block_diagonal(parts);
     Ok(Point {
         mean: (&mean.offset + &mean.basis * b).as_slice().to_vec(),
         coefficients: mean.coefficient_scale.iter().enumerate().map(coefficient).collect(),
@@ -132,18 +132,18 @@ fn feasible(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, F
     }
     // The free variances grow until Σ is positive definite with the fixed covariances, and only while growth helps:
     // zero variances, and fixed elements that are singular among themselves, stay as they are.
-    let least = |sigma: &DMatrix<f64>| symmetric::scaled_range(&sub(sigma, &map.random)).0;
+    let least_eigenvalue = |sigma: &DMatrix<f64>| symmetric::scaled_range(&submatrix(sigma, &map.random)).0;
     for _ in 0..60 {
-        let before = least(&wanted);
+        let before = least_eigenvalue(&wanted);
         if before > 1e-3 {
             break;
         }
         let mut next = wanted.clone();
         (0..map.p).filter(|&i| own[i]).for_each(|i| next[(i, i)] *= 2.0);
-        if least(&next) <= before + 1e-9 {
+        if least_eigenvalue(&next) <= before + 1e-9 {
             break;
         }
         wanted = next;
     }
-    map.onto(&map.root_of(&wanted)).ok_or(FitError::Structure(StructureError::Contradiction))
+    map.on_constraints(&map.root_of(&wanted)).ok_or(FitError::Structure(StructureError::Contradiction))
 }

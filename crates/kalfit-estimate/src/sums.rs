@@ -79,7 +79,7 @@ impl Sums {
     }
 
     /// Adds sign × the sums of other tests. Products that `other` does not hold are unchanged.
-    pub(super) fn and(mut self, sign: f64, other: &Sums) -> Sums {
+    pub(super) fn plus_times(mut self, sign: f64, other: &Sums) -> Sums {
         self.value += sign * other.value;
         self.quadratic += sign * other.quadratic;
         self.mean_score.axpy(sign, &other.mean_score, 1.0);

@@ -10,7 +10,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, sub};
+use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, submatrix};
 use kalfit_algebra::symmetric;
 
 /// Scaled information below this counts as zero.
@@ -29,21 +29,21 @@ pub(crate) fn restored(
         CoordinateForm::Factor(blocks) => blocks.as_slice(),
         _ => &[],
     });
-    let mut found = root.clone();
+    let mut completed = root.clone();
     let mut changed = false;
     for block in blocks {
-        let Some(observed) = observed(&sub(information, block)) else { continue };
+        let Some(observed) = observed(&submatrix(information, block)) else { continue };
         let rows = |root: &DMatrix<f64>| DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
-        let own = completed_root(&rows(start), &rows(root), &observed);
+        let block_root = completed_root(&rows(start), &rows(root), &observed);
         for (k, &i) in block.iter().enumerate() {
-            (0..root.ncols()).for_each(|c| found[(i, c)] = 0.0);
+            (0..root.ncols()).for_each(|c| completed[(i, c)] = 0.0);
             for (c, &at) in block.iter().enumerate() {
-                found[(i, at)] = own[(k, c)];
+                completed[(i, at)] = block_root[(k, c)];
             }
         }
         changed = true;
     }
-    changed.then_some(found)
+    changed.then_some(completed)
 }
 
 /// V, an orthonormal basis (columns) of the observed directions; `None` where all directions are observed.
@@ -64,8 +64,8 @@ fn completed_root(start: &DMatrix<f64>, root: &DMatrix<f64>, v: &DMatrix<f64>) -
     let rest = (DMatrix::identity(n, n) - &gain * v.transpose()) * start;
     let rest = rest.svd(true, false);
     let directions = rest.u.expect("asked for");
-    let seen = (v.transpose() * root).transpose().qr().r().transpose(); // S = seen seen', o × o
-    let explained = gain * seen;
+    let observed_root = (v.transpose() * root).transpose().qr().r().transpose(); // S = seen seen', o × o
+    let explained = gain * observed_root;
     DMatrix::from_fn(
         n,
         n,

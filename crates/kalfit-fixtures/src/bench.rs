@@ -38,10 +38,10 @@ pub fn model(per_test: bool) -> PhasedModel {
 /// Tests of [`model`], the same on every machine. Test j has `rows` + j mod 3 rows.
 pub fn ensemble(model: &PhasedModel, tests: usize, rows: usize) -> (Labels, Vec<PhasedTest>) {
     let (mut random, mut labels) = (Lcg(5), Labels::new(&model.shared().literals));
-    let mut all = Vec::new();
+    let mut drawn = Vec::new();
     for j in 0..tests {
         let id = format!("u{j:02}");
-        let own = labels.intern(&id);
+        let test_label = labels.intern(&id);
         let mut test = Test::new(&id, 3, 2);
         let (bias, scale) = (1.0 + random.normal(), -0.5 + 0.6 * random.normal());
         let (mut t, mut drift) = (0.0, 0.5 * random.normal());
@@ -53,23 +53,23 @@ pub fn ensemble(model: &PhasedModel, tests: usize, rows: usize) -> (Labels, Vec<
             let (u, sensor) = (random.next() * 3.0, usize::from(random.next() > 0.0));
             let noise = if sensor == 0 { 0.3 } else { 0.6 };
             let z = bias + scale * u + drift + 0.2 * u * u + noise * random.normal();
-            test.push(&[t, z, u], &[Label::literal(sensor), own], Source::default());
+            test.push(&[t, z, u], &[Label::literal(sensor), test_label], Source::default());
         }
-        all.push(test.into());
+        drawn.push(test.into());
     }
-    (labels, all)
+    (labels, drawn)
 }
 
 /// [`model`] with one free value σ: the measurement noise has the variance σ², the drift noise 3σ²/τ per unit of time.
 pub fn scaled_model() -> PhasedModel {
     let mut model = model(false);
-    let only = &mut model.phases[0].model;
+    let phase_model = &mut model.phases[0].model;
     for fixed in [TAU, DRIFT, SLOPE] {
-        only.parameters[fixed].value = Value::Fixed(if fixed == TAU { 1.5 } else { 0.2 });
+        phase_model.parameters[fixed].value = Value::Fixed(if fixed == TAU { 1.5 } else { 0.2 });
     }
-    only.parameters[NOISE].per = None;
+    phase_model.parameters[NOISE].per = None;
     let driving = over(times(number(3.0), square(alpha(NOISE))), alpha(TAU));
-    if let Motion::Continuous { noise_variance, .. } = &mut only.states[2].motion {
+    if let Motion::Continuous { noise_variance, .. } = &mut phase_model.states[2].motion {
         *noise_variance = driving;
     }
     model

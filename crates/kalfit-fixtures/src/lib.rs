@@ -7,6 +7,6 @@ pub mod bench;
 pub mod by_hand;
 
 /// The slope of a function at zero, by differences of fourth order with the step `h`.
-pub fn slope(at: impl Fn(f64) -> f64, h: f64) -> f64 {
-    (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h)
+pub fn slope(function: impl Fn(f64) -> f64, h: f64) -> f64 {
+    (8.0 * (function(h) - function(-h)) - (function(2.0 * h) - function(-2.0 * h))) / (12.0 * h)
 }

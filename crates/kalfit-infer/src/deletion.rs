@@ -134,11 +134,11 @@ pub(super) fn search_without(
     reductions: &Reductions,
     removed: &[usize],
 ) -> Option<(Point, Reductions)> {
-    let kept: Vec<usize> = (0..reductions.len()).filter(|j| !removed.contains(j)).collect();
-    if kept.is_empty() {
+    let remaining: Vec<usize> = (0..reductions.len()).filter(|j| !removed.contains(j)).collect();
+    if remaining.is_empty() {
         return None;
     }
-    let (state, others) = (&estimate.state, reductions.select(&kept));
+    let (state, others) = (&estimate.state, reductions.select(&remaining));
     let start = Population::from(estimate);
     let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
     let point = || state.problem.point_of(&Population::from(&found));
@@ -153,7 +153,7 @@ fn deletion(
 ) -> Deletion {
     let (problem, point) = (&estimate.state.problem, &others.point);
     let (log_density, distance) = distance(problem, point, reductions, j);
-    let there = match others.log_likelihood {
+    let displaced_likelihood = match others.log_likelihood {
         Some(of_others) => of_others + log_density,
         None => problem.likelihood(point, Order::First).value,
     };
@@ -161,6 +161,6 @@ fn deletion(
         estimate: problem.values_of(point),
         log_density,
         distance,
-        displacement: (2.0 * (all.log_likelihood - there)).max(0.0),
+        displacement: (2.0 * (all.log_likelihood - displaced_likelihood)).max(0.0),
     }
 }

@@ -54,8 +54,8 @@ pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
 /// user's units. Entries below [`MIN_WEIGHT`] become zero, the length is 1, and the largest entry is positive.
 pub(crate) fn in_units<'u>(natural: &DVector<f64>, units: impl Iterator<Item = &'u f64>) -> Vec<f64> {
     let least = MIN_WEIGHT * natural.amax();
-    let kept = natural.iter().zip(units).map(|(x, unit)| if x.abs() > least { x * unit } else { 0.0 });
-    let mut direction: Vec<f64> = kept.collect();
+    let in_user_units = natural.iter().zip(units).map(|(x, unit)| if x.abs() > least { x * unit } else { 0.0 });
+    let mut direction: Vec<f64> = in_user_units.collect();
     let largest = direction.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
     let length = largest * direction.iter().map(|x| (x / largest).powi(2)).sum::<f64>().sqrt();
     direction.iter_mut().filter(|x| **x != 0.0).for_each(|x| *x /= length);

@@ -30,13 +30,13 @@ impl AsymptoticLaw<'_> {
     pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
         let joint = self.state.joint.as_ref();
         let empty = DMatrix::zeros(0, 0);
-        let (law, free, moved) = match joint {
+        let (law, free, element_slopes) = match joint {
             Some(joint) => (&joint.covariance, joint.slots.as_slice(), &joint.moves),
             None => (self.coordinates(), &[][..], &empty),
         };
         let (rows, coordinates) = (self.jacobian().nrows(), self.jacobian().ncols());
         let by_row = self.jacobian().transposed();
-        let elements = moved.nrows();
+        let elements = element_slopes.nrows();
         let mut all: Vec<(Estimated, DVector<f64>)> = Vec::new();
         let mut open: Vec<Estimated> =
             joint.map_or(Vec::new(), |joint| joint.open.iter().map(|&slot| Estimated::Value(slot)).collect());
@@ -46,7 +46,7 @@ impl AsymptoticLaw<'_> {
                 continue;
             }
             let of_value = |c: usize| match row.checked_sub(rows - elements) {
-                Some(element) => moved[(element, c)],
+                Some(element) => element_slopes[(element, c)],
                 None => 0.0,
             };
             let mut derivative = DVector::zeros(coordinates + free.len());

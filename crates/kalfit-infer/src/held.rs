@@ -143,7 +143,7 @@ impl<'a> Holder<'a> {
         let problem = &*self.state.problem;
         let mut map = problem.covariance.clone();
         map.constraints.push(Constraint { terms, value });
-        let root = map.onto(&start_root(&problem.covariance, &map.constraints, near))?;
+        let root = map.on_constraints(&start_root(&problem.covariance, &map.constraints, near))?;
         let iterate = self.climb(problem, &map, Point { root, ..near.clone() })?;
         let slope = *iterate.tangent.multipliers.last().expect("the constraint has a multiplier");
         Some(Held { value: iterate.local.value, slope, near: iterate })

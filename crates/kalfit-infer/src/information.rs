@@ -71,13 +71,13 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool>
                     && (moves(i, i) || moves(j, j))
                     && !element_takes_part(unidentified, &map.elements, i, j)))
     };
-    let matrix = |of: &dyn Fn(usize, usize) -> bool| (0..p).map(|i| (0..p).map(|j| of(i, j)).collect()).collect();
+    let square_list = |of: &dyn Fn(usize, usize) -> bool| (0..p).map(|i| (0..p).map(|j| of(i, j)).collect()).collect();
     Quantities {
         mean: (0..p).map(mean).collect(),
         coefficients: vec![true; estimate.coefficients.len()],
         std_dev: (0..p).map(|i| moves(i, i)).collect(),
-        covariance: matrix(&moves),
-        correlation: matrix(&moves_correlation),
+        covariance: square_list(&moves),
+        correlation: square_list(&moves_correlation),
     }
 }
 
@@ -143,12 +143,12 @@ fn uncertainty_by(
     let boundary = boundary(map, &state.newton_iterate.point.root);
     let p = sigma.nrows();
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
-    let without = |i: usize| match singular {
+    let has_no_error = |i: usize| match singular {
         SingularBlock::Face => boundary.iter().any(|b| b.zero_variances.contains(&i)),
         SingularBlock::Nothing => on_boundary(i),
     };
     let elements = &map.elements;
-    let known = |i: usize, j: usize| !(without(i) || without(j) || element_takes_part(unidentified, elements, i, j));
+    let known = |i: usize, j: usize| !(has_no_error(i) || has_no_error(j) || element_takes_part(unidentified, elements, i, j));
     // on the face a correlation of 1 does not move: a standard error of this correlation would be rounding
     let at_end = |i: usize, j: usize| {
         let size = sigma[(i, i)] * sigma[(j, j)];

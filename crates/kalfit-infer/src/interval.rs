@@ -59,12 +59,12 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     for what in quantities(elements, estimate.coefficients.len()) {
         let value = value(estimate, what);
         let interval = uncertainty.errors.of(what).zip(value).and_then(|(e, x)| {
-            let around = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
+            let symmetric_ends = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
             let ends = match what {
-                Holdable::StdDev(_) if x > 0.0 => around(x.ln(), e / x).map(f64::exp),
-                Holdable::Correlation(..) if x.abs() < 1.0 => around(x.atanh(), e / (1.0 - x * x)).map(f64::tanh),
+                Holdable::StdDev(_) if x > 0.0 => symmetric_ends(x.ln(), e / x).map(f64::exp),
+                Holdable::Correlation(..) if x.abs() < 1.0 => symmetric_ends(x.atanh(), e / (1.0 - x * x)).map(f64::tanh),
                 Holdable::StdDev(_) | Holdable::Correlation(..) => return None,
-                _ => around(x, e),
+                _ => symmetric_ends(x, e),
             };
             ends.iter().all(|end| end.is_finite()).then(|| ends.map(Some))
         });
@@ -128,13 +128,13 @@ impl Intervals {
 
 pub(crate) fn quantities(elements: &Elements, coefficients: usize) -> Vec<Holdable> {
     let p = elements.states();
-    let below = || elements.all().filter(|(i, j)| i != j);
+    let off_diagonal = || elements.all().filter(|(i, j)| i != j);
     let mut all = Vec::with_capacity(2 * p + coefficients + 2 * elements.count());
     all.extend((0..p).map(Holdable::Mean));
     all.extend((0..coefficients).map(Holdable::Coefficient));
     all.extend((0..p).map(Holdable::StdDev));
-    all.extend(below().map(|(i, j)| Holdable::Covariance(i, j)));
-    all.extend(below().map(|(i, j)| Holdable::Correlation(i, j)));
+    all.extend(off_diagonal().map(|(i, j)| Holdable::Covariance(i, j)));
+    all.extend(off_diagonal().map(|(i, j)| Holdable::Correlation(i, j)));
     all
 }
 

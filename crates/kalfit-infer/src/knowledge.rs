@@ -96,10 +96,10 @@ impl Knowledge {
     /// This knowledge with the quantities that `is_exact` selects treated as known exactly.
     #[must_use]
     pub fn without(&self, is_exact: &dyn Fn(&Estimand) -> bool) -> Knowledge {
-        let kept: Vec<usize> = (0..self.quantities.len()).filter(|&i| !is_exact(&self.quantities[i])).collect();
+        let uncertain_indices: Vec<usize> = (0..self.quantities.len()).filter(|&i| !is_exact(&self.quantities[i])).collect();
         Knowledge {
-            quantities: kept.iter().map(|&i| self.quantities[i].clone()).collect(),
-            covariance: self.covariance.select_rows(&kept).select_columns(&kept),
+            quantities: uncertain_indices.iter().map(|&i| self.quantities[i].clone()).collect(),
+            covariance: self.covariance.select_rows(&uncertain_indices).select_columns(&uncertain_indices),
             open: self.open.iter().filter(|known| !is_exact(known)).cloned().collect(),
             at_zero: self.at_zero.iter().filter(|known| !is_exact(known)).cloned().collect(),
             tests: self.tests,

@@ -207,13 +207,13 @@ impl<'a> AsymptoticLaw<'a> {
 impl WithParameters {
     fn of(joint: &JointLaw, along: &Sparse) -> WithParameters {
         let rows = along.nrows();
-        let below = |moves: &DMatrix<f64>, whole: &mut Sparse| {
+        let push_sigma_columns = |moves: &DMatrix<f64>, whole: &mut Sparse| {
             let first = rows - moves.nrows();
             moves.column_iter().for_each(|c| whole.push(c.iter().enumerate().map(|(row, x)| (first + row, *x))));
         };
         let (mut jacobian, mut open) = (along.clone(), Sparse::with_height(rows));
-        below(&joint.moves, &mut jacobian);
-        below(&joint.open_moves, &mut open);
+        push_sigma_columns(&joint.moves, &mut jacobian);
+        push_sigma_columns(&joint.open_moves, &mut open);
         WithParameters { covariance: joint.covariance.clone(), jacobian, open }
     }
 

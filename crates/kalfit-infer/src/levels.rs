@@ -88,20 +88,20 @@ pub(super) fn posteriors(
 ) -> Option<(Posteriors, Vec<Vec<GroupPosterior>>)> {
     problem.classes.units.as_ref()?;
     let classes = problem.classes.of(evidence);
-    let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
-    let found = ensemble.at(point);
-    let grouping = &ensemble.units.grouping;
+    let grouped_tests = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
+    let found = grouped_tests.at(point);
+    let grouping = &grouped_tests.units.grouping;
     let own: Vec<(f64, Distance)> =
         (0..evidence.len()).into_par_iter().map(|j| distance(problem, point, evidence, j)).collect();
-    let mut tests = Posteriors::new(vec![ensemble.units.states]);
+    let mut tests = Posteriors::new(vec![grouped_tests.units.states]);
     for (j, own) in own.into_iter().enumerate() {
         let number = grouping.number(evidence.id(j)).expect("it was grouped");
         let TestPosterior { mean, covariance, .. } = &found.tests[number];
-        let covariance = ensemble.covariance(covariance);
+        let covariance = grouped_tests.covariance(covariance);
         tests.push(own, &problem.classes.frame.mean_out(mean), covariance.as_slice());
     }
     let of_level = |(level, groups): (usize, &Vec<kalfit_estimate::ScaledGroupPosterior>)| {
-        groups.iter().zip(grouping.groups(level)).map(|(one, group)| ensemble.group(one, group.tests)).collect()
+        groups.iter().zip(grouping.groups(level)).map(|(one, group)| grouped_tests.group(one, group.tests)).collect()
     };
     Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
 }
@@ -116,14 +116,14 @@ pub(super) fn deletions(
 ) -> Option<(Deletions, Vec<Deletions>)> {
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(evidence);
-    let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
+    let grouped_tests = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
     let whole = problem.likelihood(&estimate.state.newton_iterate.point, Order::First).value;
     let tests = progress.each(evidence.len(), |j| {
-        let (point, found) = ensemble.without(estimate, &[j], whole)?;
+        let (point, found) = grouped_tests.without(estimate, &[j], whole)?;
         let (_, distance) = distance(problem, &point, evidence, j);
         Some(Deletion { distance, ..found })
     })?;
-    let grouping = &ensemble.units.grouping;
+    let grouping = &grouped_tests.units.grouping;
     let of_level = |level: usize| -> Option<Deletions> {
         let mut members = vec![Vec::new(); grouping.groups(level).len()];
         for j in 0..evidence.len() {
@@ -131,8 +131,8 @@ pub(super) fn deletions(
             members[grouping.group_of(number, level)].push(j);
         }
         let without = |group: usize| {
-            let (point, found) = ensemble.without(estimate, &members[group], whole)?;
-            let own = &ensemble.at(&point).groups[level][group];
+            let (point, found) = grouped_tests.without(estimate, &members[group], whole)?;
+            let own = &grouped_tests.at(&point).groups[level][group];
             Some(Deletion { distance: Distance::new(own.squared, own.degrees_of_freedom), ..found })
         };
         progress.each(members.len(), without)
@@ -145,14 +145,14 @@ impl GroupedTests<'_> {
     fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
         let problem = self.problem;
         let (point, others) = search_without(estimate, self.evidence, removed)?;
-        let there = problem.likelihood(&point, Order::First).value;
+        let displaced_likelihood = problem.likelihood(&point, Order::First).value;
         let of_others =
             Problem::within(&others, &estimate.state.structure(), problem).ok()?.likelihood(&point, Order::First).value;
         let deletion = Deletion {
             estimate: problem.values_of(&point),
-            log_density: there - of_others,
+            log_density: displaced_likelihood - of_others,
             distance: Distance::new(0.0, 0),
-            displacement: (2.0 * (whole - there)).max(0.0),
+            displacement: (2.0 * (whole - displaced_likelihood)).max(0.0),
         };
         Some((point, deletion))
     }

@@ -183,7 +183,7 @@ pub(crate) fn inferred(
     };
     let intervals = profiled.unwrap_or_else(|| wald(estimate, &uncertainty));
     let each = choices.tests == TestsChoice::Each;
-    let wanted = match choices.deletion {
+    let computes_deletions = match choices.deletion {
         _ if !each => false,
         DeletionChoice::Cheap => deletion_work(estimate, reductions.len()) <= CHEAP_MULTIPLICATIONS,
         DeletionChoice::All => true,
@@ -194,7 +194,7 @@ pub(crate) fn inferred(
         true => each::estimated(estimate, reductions),
         false => (Posteriors::default(), Vec::new()),
     };
-    let (deletions, group_deletions) = match wanted {
+    let (deletions, group_deletions) = match computes_deletions {
         true if grouped => levels::deletions(estimate, &evidence, progress).unzip(),
         true => (deletions_while(estimate, reductions, progress), None),
         false => (None, None),

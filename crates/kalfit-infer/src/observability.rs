@@ -321,19 +321,19 @@ impl Shares<'_> {
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
         let ClassViews { classes, reductions, .. } = self.designs;
         let p = classes.dimension();
-        let mut all = Parts::none(directions.len());
+        let mut all = InformationSums::none(directions.len());
         let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
         let (regressors, point) = (&self.problem.mean.regressors, self.point);
-        let none = || Parts::none(directions.ncols());
+        let none = || InformationSums::none(directions.ncols());
         let parts = map_forms(classes, (regressors, point), &directions, &none, &|parts, k, forms| {
             let tests = classes.tests_of(k);
             for (c, &own) in forms.iter().enumerate() {
                 parts.totals[c] += own * tests.len() as f64;
-                parts.offer(c, own, || reductions.id(tests[0]));
+                parts.keep_larger(c, own, || reductions.id(tests[0]));
             }
         });
         parts.into_iter().for_each(|parts| all.add(parts));
-        let Parts { totals, best } = all;
+        let InformationSums { totals, best } = all;
         let share = |(best, total): (Option<(f64, &str)>, f64)| {
             best.map(|(own, id)| Leading { test: id.to_owned(), share: (own / total).min(1.0) })
         };
@@ -342,27 +342,27 @@ impl Shares<'_> {
 }
 
 /// For each direction u the sum of u'W_ju over tests, and the largest term with the id of the test.
-struct Parts<'a> {
+struct InformationSums<'a> {
     totals: Vec<f64>,
     best: Vec<Option<(f64, &'a str)>>,
 }
 
-impl<'a> Parts<'a> {
-    fn none(directions: usize) -> Parts<'a> {
-        Parts { totals: vec![0.0; directions], best: vec![None; directions] }
+impl<'a> InformationSums<'a> {
+    fn none(directions: usize) -> InformationSums<'a> {
+        InformationSums { totals: vec![0.0; directions], best: vec![None; directions] }
     }
 
-    fn add(&mut self, other: Parts<'a>) {
+    fn add(&mut self, other: InformationSums<'a>) {
         self.totals.iter_mut().zip(&other.totals).for_each(|(sum, part)| *sum += part);
         for (c, best) in other.best.into_iter().enumerate() {
             if let Some((own, test)) = best {
-                self.offer(c, own, || test);
+                self.keep_larger(c, own, || test);
             }
         }
     }
 
     /// Replaces the best term by a larger one, or by an equal one of a smaller id; `test` returns the id.
-    fn offer(&mut self, c: usize, own: f64, test: impl Fn() -> &'a str) {
+    fn keep_larger(&mut self, c: usize, own: f64, test: impl Fn() -> &'a str) {
         let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test() < id);
         if own > 0.0 && self.best[c].as_ref().is_none_or(better) {
             self.best[c] = Some((own, test()));

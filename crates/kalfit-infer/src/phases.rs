@@ -37,13 +37,13 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
     let classes = problem.classes.by_phase(reductions);
     let chains: Option<Vec<&ChainStore>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
     let Some(chains) = chains else { return Vec::new() };
-    let chains: Vec<(&ChainStore, Vec<usize>)> = chains.into_iter().map(|kept| (kept, kept.entering())).collect();
+    let chains: Vec<(&ChainStore, Vec<usize>)> = chains.into_iter().map(|chain_store| (chain_store, chain_store.entering())).collect();
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
-    let mut before = DMatrix::zeros(elements.states(), 0);
+    let mut earlier_range = DMatrix::zeros(elements.states(), 0);
     for f in 0..count {
         let with_phase = chains.iter().filter(|(_, entering)| entering.len() > f);
         let entering = with_phase.clone().next().map_or(0, |(_, entering)| entering[f]);
-        let with_phase: Vec<&ChainStore> = with_phase.map(|(kept, _)| *kept).collect();
+        let with_phase: Vec<&ChainStore> = with_phase.map(|(chain_store, _)| *chain_store).collect();
         let states = elements.blocks()[f].end;
         let so_far = summed_information(&with_phase, states, elements.states(), &|chain| {
             chain.information(f + 1, elements.states())
@@ -53,9 +53,9 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
         found.push(PhaseObservability {
             own_rank: rank(&own),
             rank_so_far: range.ncols(),
-            entered: entered(&range, &before, &problem.classes.frame.scale),
+            entered: entered(&range, &earlier_range, &problem.classes.frame.scale),
         });
-        before = range;
+        earlier_range = range;
     }
     found
 }
@@ -97,13 +97,13 @@ fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
     symmetric::range(information, |value| value > ZERO_EIGENVALUE)
 }
 
-/// Directions of `range` that are not in the range `before`, as weights in the user's units.
-fn entered(range: &DMatrix<f64>, before: &DMatrix<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
-    let new = range.ncols().saturating_sub(before.ncols());
+/// Directions of `range` that are not in the range `earlier_range`, as weights in the user's units.
+fn entered(range: &DMatrix<f64>, earlier_range: &DMatrix<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
+    let new = range.ncols().saturating_sub(earlier_range.ncols());
     if new == 0 {
         return Vec::new();
     }
-    let remainder = range - before * (before.transpose() * range);
+    let remainder = range - earlier_range * (earlier_range.transpose() * range);
     let decomposed = remainder.svd(true, false);
     let vectors = decomposed.u.expect("asked for");
     let mut order: Vec<usize> = (0..vectors.ncols()).collect();

@@ -43,7 +43,7 @@ pub struct Distance {
 #[derive(Debug)]
 pub(super) struct NumberedPosteriors {
     numbers: Vec<usize>,
-    found: Posteriors,
+    store: Posteriors,
 }
 
 impl Posteriors {
@@ -98,7 +98,7 @@ impl Posteriors {
         numbered.sort_unstable();
         let mut all = Posteriors::new(sizes);
         for (_, part, at) in numbered {
-            let one = parts[part].found.get(at);
+            let one = parts[part].store.get(at);
             all.push((one.log_likelihood, one.distance), one.mean, one.covariances);
         }
         all
@@ -144,12 +144,12 @@ impl Distance {
 impl NumberedPosteriors {
     /// An empty store; `sizes`: number of states of each phase.
     pub(super) fn new(sizes: &[usize]) -> NumberedPosteriors {
-        NumberedPosteriors { numbers: Vec::new(), found: Posteriors::new(sizes.to_vec()) }
+        NumberedPosteriors { numbers: Vec::new(), store: Posteriors::new(sizes.to_vec()) }
     }
 
     /// Records the index of the next test; returns the store, to which the caller adds the test.
     pub(super) fn of(&mut self, number: usize) -> &mut Posteriors {
         self.numbers.push(number);
-        &mut self.found
+        &mut self.store
     }
 }

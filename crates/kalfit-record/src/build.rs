@@ -65,7 +65,7 @@ impl FitRecord {
         let data = data(reductions, provenance.files);
         let free = estimate.declared_mean() + estimate.declared_covariance(); // as lme4 counts them
         let log_likelihood = estimate.log_likelihood;
-        let of_estimates = provenance.of_estimates || filtered(model, reductions);
+        let of_estimates = provenance.of_estimates || has_filter_estimates(model, reductions);
         let comparable = !of_estimates && estimate.composite.is_none();
         let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
         let (phases, levels) = phases_and_levels(model, estimate, inference, reductions);
@@ -258,7 +258,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
 }
 
 /// Whether a test has a phase in which estimates of a filter replace the measurements.
-fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
+fn has_filter_estimates(model: &PhasedModel, reductions: &Reductions) -> bool {
     let has = |phase: usize| {
         reductions.remote().is_some() || reductions.iter().any(|reduction| phases_of(reduction, model) > phase)
     };

@@ -82,8 +82,8 @@ impl<'a> BlockCut<'a> {
     }
 
     /// Index within the block of an element, given by index over all blocks; `None` if the element is in another block.
-    pub(super) fn element(&self, of_all: usize) -> Option<usize> {
-        self.elements.contains(&of_all).then(|| of_all - self.elements.start)
+    pub(super) fn element(&self, global_index: usize) -> Option<usize> {
+        self.elements.contains(&global_index).then(|| global_index - self.elements.start)
     }
 }
 

@@ -219,7 +219,7 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         }
         let sentence = |(meaning, levels): &(&str, Vec<String>)| {
             let how = if unlimited && *meaning == ZERO_MEANING { LIMIT_HINT } else { "" };
-            format!("{} is {meaning}{how}", whose(parts.model.shared(), parameter, levels))
+            format!("{} is {meaning}{how}", parameter_phrase(parts.model.shared(), parameter, levels))
         };
         notes.extend(seen.iter().map(sentence));
         notes.extend(idle_note(parts, index));
@@ -250,7 +250,7 @@ fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
 }
 
 /// A parameter with some levels, in words: `tau`, or `sigma` at `lot` A, B and 7 more.
-fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
+fn parameter_phrase(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
     match parameter.per {
         None => format!("`{}`", parameter.name),
         Some(column) => {
@@ -265,10 +265,10 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let fit = parts.fit;
     let what = if fit.estimate.criterion == Criterion::Reml { "restricted log-likelihood" } else { "log-likelihood" };
     let top = fit.estimate.log_likelihood;
-    let equal = EQUAL_HEIGHT + 1e-9 * top.abs();
+    let equal_height = EQUAL_HEIGHT + 1e-9 * top.abs();
     let all = fit.others.len();
     let certified: Vec<_> = fit.others.iter().filter(|end| end.stop == Stop::Certified).collect();
-    let below = fit.lower_maxima(equal);
+    let below = fit.lower_maxima(equal_height);
     let mut notes = Vec::new();
     if let (Some(least), count) = (below.iter().copied().reduce(f64::min), below.len()) {
         let ended = if count == 1 { "another maximum" } else { "other maxima" };
@@ -278,7 +278,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         ));
     }
     let elsewhere = |end: &&&kalfit_search::OtherEnd| {
-        top - end.log_likelihood <= equal && (0..fit.values.len()).any(|i| differs(parts, i, end.values[i]))
+        top - end.log_likelihood <= equal_height && (0..fit.values.len()).any(|i| differs(parts, i, end.values[i]))
     };
     let equally_high = certified.iter().filter(elsewhere).count();
     if equally_high > 0 {
@@ -293,7 +293,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         ));
     }
     let uncertified = fit.others.iter().filter(|end| end.stop != Stop::Certified && !end.given_up).count();
-    let higher = fit.others.iter().filter(|end| end.stop != Stop::Certified && end.log_likelihood > top + equal);
+    let higher = fit.others.iter().filter(|end| end.stop != Stop::Certified && end.log_likelihood > top + equal_height);
     if let Some(most) = higher.map(|end| end.log_likelihood).reduce(f64::max) {
         notes.push(format!(
             "another start reached a {what} of {most:.4}, higher by {:.4}, at a point that is not a certified maximum: the likelihood may be unbounded there, or the search was cut short",

@@ -54,7 +54,7 @@ impl FitRecord {
                 QuantityOwner { prefix, phase: &phase.name, level: None, states: &phase.states, units: &phase.units };
             of.means(phase, &mut all);
             if self.levels.is_empty() {
-                of.spread(&CovarianceForms::from(phase), &mut all);
+                of.covariance_quantities(&CovarianceForms::from(phase), &mut all);
             }
         }
         let first = self.phases.first().map_or((&[][..], "main"), |phase| (&phase.units[..], phase.name.as_str()));
@@ -63,7 +63,7 @@ impl FitRecord {
             let prefix = if own { String::new() } else { format!("{}: ", level.name) };
             let (phase, states) = (first.1, &level.states);
             let of = QuantityOwner { prefix, phase, level: Some(&level.name), states, units: first.0 };
-            of.spread(&CovarianceForms::from(level), &mut all);
+            of.covariance_quantities(&CovarianceForms::from(level), &mut all);
         }
         all.extend(self.parameters.iter().map(parameter));
         all
@@ -167,7 +167,7 @@ impl QuantityOwner<'_> {
     }
 
     /// Standard deviations, covariances and correlations, each once.
-    fn spread(&self, own: &CovarianceForms<'_>, all: &mut Vec<QuantityRecord>) {
+    fn covariance_quantities(&self, own: &CovarianceForms<'_>, all: &mut Vec<QuantityRecord>) {
         let CovarianceForms { covariance, std_dev, correlation, .. } = own;
         let fixed = |i: usize, k: usize| cell(&covariance.fixed, i, k).unwrap_or_default();
         for (i, state) in self.states.iter().enumerate() {

@@ -73,11 +73,11 @@ impl SeriesRecord {
         let mut steps = StepCount::default();
         let at: Vec<f64> =
             series.iter().map(|one| one.time.filter(|_| timed).unwrap_or_else(|| steps.number(one) as f64)).collect();
-        let few = series.len() <= MOST_ROWS;
-        let rows = |of: &dyn Fn(usize) -> f64| (0..series.len()).filter(|_| few).map(of).collect();
+        let is_short = series.len() <= MOST_ROWS;
+        let rows = |of: &dyn Fn(usize) -> f64| (0..series.len()).filter(|_| is_short).map(of).collect();
         SeriesRecord {
             measurements: index.keys().map(|&key| name(model, key)).collect(),
-            measurement: series.iter().filter(|_| few).map(|one| index[&(one.phase, one.measurement)]).collect(),
+            measurement: series.iter().filter(|_| is_short).map(|one| index[&(one.phase, one.measurement)]).collect(),
             standardised: rows(&|i| rounded(series[i].standardised)),
             timed,
             time_unit: model.shared().clock.unit.clone().filter(|_| timed),
@@ -92,16 +92,16 @@ impl SeriesRecord {
 #[derive(Default)]
 struct StepCount {
     phase: usize,
-    before: usize,
+    steps_before: usize,
     last: usize,
 }
 
 impl StepCount {
     fn number(&mut self, one: &Innovation) -> usize {
         if one.phase != self.phase {
-            (self.phase, self.before) = (one.phase, self.last + 1);
+            (self.phase, self.steps_before) = (one.phase, self.last + 1);
         }
-        self.last = self.before + one.step;
+        self.last = self.steps_before + one.step;
         self.last
     }
 }

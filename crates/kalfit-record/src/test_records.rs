@@ -170,10 +170,10 @@ impl FitRecord {
 
     /// Adds the retained series to the tests that have innovations.
     pub fn add_series(&mut self, keeper: SeriesKeeper) {
-        let mut kept = keeper.into_series();
+        let mut retained_series = keeper.into_series();
         for number in 0..self.tests.len() {
             if let Some(innovations) = self.tests.innovations.0.get_mut(number) {
-                innovations.series = kept.remove(self.tests.ids.get(number)).map(Box::new);
+                innovations.series = retained_series.remove(self.tests.ids.get(number)).map(Box::new);
             }
         }
     }

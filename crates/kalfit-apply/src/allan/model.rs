@@ -34,7 +34,7 @@ impl SpanMap {
     }
 
     /// The map of this span followed by the span of `next`.
-    fn then(&self, next: &SpanMap) -> SpanMap {
+    fn followed_by(&self, next: &SpanMap) -> SpanMap {
         SpanMap {
             M: &next.M * &self.M,
             d: &next.M * &self.d + &next.d,
@@ -43,15 +43,15 @@ impl SpanMap {
     }
 
     /// The map of m equal spans in a row, by repeated doubling.
-    fn times(self, m: usize) -> SpanMap {
+    fn repeated(self, m: usize) -> SpanMap {
         let (mut whole, mut doubled, mut remaining) = (None, self, m);
         while remaining > 0 {
             if remaining & 1 == 1 {
-                whole = Some(whole.map_or_else(|| doubled.clone(), |own: SpanMap| own.then(&doubled)));
+                whole = Some(whole.map_or_else(|| doubled.clone(), |earlier: SpanMap| earlier.followed_by(&doubled)));
             }
             remaining >>= 1;
             if remaining > 0 {
-                doubled = doubled.then(&doubled);
+                doubled = doubled.followed_by(&doubled);
             }
         }
         whole.unwrap_or(doubled)
@@ -69,14 +69,14 @@ pub fn variance(filter: &Exported, measurement: usize, m: usize) -> Option<f64> 
         return None;
     }
     let n = mean.len();
-    let SpanMap { M, d, W } = SpanMap::row(filter, measurement).times(m);
+    let SpanMap { M, d, W } = SpanMap::row(filter, measurement).repeated(m);
     let g = M.view((n, 0), (1, n)).into_owned();
     let c = &g * (M.view((0, 0), (n, n)) - DMatrix::<f64>::identity(n, n));
     let mut weights = DMatrix::zeros(1, n + 1);
     weights.view_mut((0, 0), (1, n)).copy_from(&g);
     weights[(0, n)] = -1.0;
-    let centre = (&c * mean)[0] + (&g * d.rows(0, n))[0];
-    let spread = (&c * P * c.transpose())[0] + (&weights * &W * weights.transpose())[0] + W[(n, n)];
-    let variance = 0.5 * (spread.max(0.0) + centre * centre) / (m as f64).powi(2);
+    let difference_mean = (&c * mean)[0] + (&g * d.rows(0, n))[0];
+    let difference_variance = (&c * P * c.transpose())[0] + (&weights * &W * weights.transpose())[0] + W[(n, n)];
+    let variance = 0.5 * (difference_variance.max(0.0) + difference_mean * difference_mean) / (m as f64).powi(2);
     variance.is_finite().then_some(variance)
 }

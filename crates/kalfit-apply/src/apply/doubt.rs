@@ -116,12 +116,12 @@ impl<'a> EstimateErrors<'a> {
     pub(super) fn means(&self, weights: &DMatrix<f64>, all: f64) -> usize {
         let own = |at: usize| weights[(at, at)] * self.covariance_of_means[(at, at)];
         let is_noticeable = |&at: &usize| self.is_fixed[at] && own(at) > NOTICEABLE_SHARE * all;
-        let random = self.of_means.iter().zip(&self.is_fixed).any(|(own, is_fixed)| own.2.is_none() && !is_fixed);
-        usize::from(random) + self.columns + (0..self.of_means.len()).filter(is_noticeable).count()
+        let has_varying_mean = self.of_means.iter().zip(&self.is_fixed).any(|(own, is_fixed)| own.2.is_none() && !is_fixed);
+        usize::from(has_varying_mean) + self.columns + (0..self.of_means.len()).filter(is_noticeable).count()
     }
 
     /// Derivative of the expectation with respect to an element of Σ; zero for any other quantity.
-    fn by(&self, weights: &Weights, known: &Estimand) -> f64 {
+    fn covariance_slope(&self, weights: &Weights, known: &Estimand) -> f64 {
         let Estimand::Population(Estimated::Covariance(i, j)) = *known else { return 0.0 };
         let (level, p) = (i / self.states, self.states);
         let own = weights.of_level.get(level).map_or(0.0, |of| of[(i % p, j % p)]);
@@ -131,7 +131,7 @@ impl<'a> EstimateErrors<'a> {
     /// Variance of the expectation due to errors of covariances and parameters. `moved`: (parameter, derivative of the
     /// expectation).
     pub(super) fn variance(&self, weights: &Weights, moved: &[(&ParameterEffect, f64)]) -> f64 {
-        let known = self.knowledge.quantities.iter().map(|known| self.by(weights, known));
+        let known = self.knowledge.quantities.iter().map(|known| self.covariance_slope(weights, known));
         self.variance_along(DVector::from_iterator(self.knowledge.quantities.len(), known), moved)
     }
 
@@ -153,7 +153,7 @@ impl<'a> EstimateErrors<'a> {
     pub(super) fn depends_on_open(&self, weights: &Weights, moved: &[(&ParameterEffect, f64)], degrees: f64) -> bool {
         let largest = weights.of_level.iter().map(DMatrix::amax).fold(0.0, f64::max);
         let by_sigma =
-            self.knowledge.open.iter().any(|known| self.by(weights, known).abs() > NEGLIGIBLE_SLOPE * largest);
+            self.knowledge.open.iter().any(|known| self.covariance_slope(weights, known).abs() > NEGLIGIBLE_SLOPE * largest);
         by_sigma || self.depends_on_open_parameter(moved, degrees)
     }
 

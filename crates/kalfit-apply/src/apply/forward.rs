@@ -21,13 +21,13 @@ impl Applied<'_> {
         let filter = ChainedFilter::new(self.model, self.alpha, &combined)?;
         let states: Vec<Result<Vec<PhaseStates>, ReduceError>> = self.tests[tests]
             .par_iter()
-            .map_init(|| filter.reducer().workspace(), |work, test| of_test(&filter, kind, test, work))
+            .map_init(|| filter.reducer().workspace(), |work, test| states_of_test(&filter, kind, test, work))
             .collect();
         Ok(states.into_iter().collect::<Result<_, _>>()?)
     }
 }
 
-fn of_test(
+fn states_of_test(
     filter: &ChainedFilter,
     kind: StateKind,
     test: &PhasedTest,
@@ -37,8 +37,8 @@ fn of_test(
     let mut backward = BackwardWork::default();
     filter.through(test, work, &mut |(at, rows), gains, work, law| {
         let known = filtered(kind, gains, (work, &mut backward), law);
-        let record = EvaluatedPhase::new(&filter.reducer().phases()[at], rows);
-        states.push(record.map(|record| record.states(at, known.into_iter(), kind == StateKind::Predicted)));
+        let evaluated_phase = EvaluatedPhase::new(&filter.reducer().phases()[at], rows);
+        states.push(evaluated_phase.map(|evaluated_phase| evaluated_phase.states(at, known.into_iter(), kind == StateKind::Predicted)));
     })?;
     states.into_iter().collect()
 }
@@ -54,10 +54,10 @@ fn filtered(
     single_test_innovations(gains, work);
     let q = work.design.frame.p;
     // moments at σ = 0, with one column of sensitivities for each element of σ
-    let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-    let run = BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
+    let moments_at_zero = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
+    let backward_input = BackwardInput::of((work, gains), (&moments_at_zero, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
-    run.filtered_states(backward, &work.pass.e, |step, measured, seen| {
+    backward_input.filtered_states(backward, &work.pass.e, |step, measured, seen| {
         if measured {
             for row in step.rows.clone() {
                 let (weight, _, sensitivity) = gains.row(row);
@@ -75,8 +75,8 @@ fn filtered(
 
 fn known(seen: FilterSnapshot<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> StepMoments {
     let Psi = seen.sensitivity();
-    let spread = &Psi * root;
-    let mut covariance = &spread * spread.transpose();
+    let state_root = &Psi * root;
+    let mut covariance = &state_root * state_root.transpose();
     seen.add_noise(&mut covariance);
     let mean = DVector::from_column_slice(seen.x) + Psi * mean;
     StepMoments { mean: mean.as_slice().to_vec(), covariance }

@@ -127,38 +127,38 @@ impl DistanceSum {
 
     /// Law of the sum; `None` where the estimates are from too few tests for a law.
     pub(super) fn law(&self) -> Option<Law> {
-        let each = self.degrees / self.count;
+        let degrees_each = self.degrees / self.count;
         // h squares of one size replace the n squares, of which the errors of the means enlarge `means` squares
-        let error = self.of_mean / each;
+        let error = self.of_mean / degrees_each;
         let means = self.means.min(self.count).max(1.0);
         let (sum, squares) = (self.count + error, self.count - means + means * (1.0 + error / means).powi(2));
         let (h, size) = (sum * sum / squares, squares / sum);
         if self.variance < KNOWN_VARIANCE {
-            let degrees = each * h;
+            let degrees = degrees_each * h;
             return Some(Law { scale: size * degrees, ..Law::chi_squared(degrees) });
         }
-        let seen = 2.0 / (each * self.variance);
-        let left = seen * (1.0 - self.bias(each, seen));
-        let copies = each / (self.dimension * self.sharing_variance);
-        let one = trace(self.dimension, h * self.sharing_variance, left * self.sharing_variance)?;
-        Some(Law { scale: one.scale * seen * self.sharing_variance * size, ..one }.sum_of_copies(copies))
+        let variance_degrees = 2.0 / (degrees_each * self.variance);
+        let left = variance_degrees * (1.0 - self.bias(degrees_each, variance_degrees));
+        let copies = degrees_each / (self.dimension * self.sharing_variance);
+        let one = trace_law(self.dimension, h * self.sharing_variance, left * self.sharing_variance)?;
+        Some(Law { scale: one.scale * variance_degrees * self.sharing_variance * size, ..one }.sum_of_copies(copies))
     }
 
     /// Relative amount by which maximum likelihood makes covariances too small. The number of tests follows from the
     /// errors of the mean and of the covariances together.
-    fn bias(&self, each: f64, seen: f64) -> f64 {
+    fn bias(&self, degrees_each: f64, variance_degrees: f64) -> f64 {
         if !self.is_biased || self.of_mean <= 0.0 {
             return 0.0;
         }
-        let error = self.of_mean / (self.count * each * self.means);
-        let tests_from_errors = self.variance * each / (2.0 * error * error);
-        let tests = seen.max(tests_from_errors.min(self.tests));
-        self.means * (self.variance * each / (2.0 * tests)).sqrt()
+        let error = self.of_mean / (self.count * degrees_each * self.means);
+        let tests_from_errors = self.variance * degrees_each / (2.0 * error * error);
+        let tests = variance_degrees.max(tests_from_errors.min(self.tests));
+        self.means * (self.variance * degrees_each / (2.0 * tests)).sqrt()
     }
 }
 
 /// Law of tr W⁻¹B in p dimensions, where W has `degrees` and B has h degrees of freedom.
-fn trace(p: f64, h: f64, degrees: f64) -> Option<Law> {
+fn trace_law(p: f64, h: f64, degrees: f64) -> Option<Law> {
     let left = degrees - p;
     if h <= 1.0 {
         let denominator = left + 1.0;

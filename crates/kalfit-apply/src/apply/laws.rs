@@ -90,27 +90,27 @@ impl Applied<'_> {
         }
         let of = |(index, known, error): (Option<usize>, &Estimand, Option<f64>)| {
             let Some((sides, width)) = known.sides(self.model, self.alpha, error) else { return Ok(None) };
-            let sides = sides.map(|alpha| self.reduced(&alpha));
+            let sides = sides.map(|alpha| self.reductions_at(&alpha));
             let [low, high] = sides;
             let (low, high) = (low?, high?);
             let trees = [&low, &high].map(|own| self.tree(own, doubt));
             let trees = [&trees[0], &trees[1]];
-            let per = |x: f64| if (x / width).is_finite() { x / width } else { 0.0 };
-            let level = |level: usize| tree.differences(level, trees).into_iter().map(per).collect::<Vec<f64>>();
+            let per_width = |x: f64| if (x / width).is_finite() { x / width } else { 0.0 };
+            let level = |level: usize| tree.log_det_differences(level, trees).into_iter().map(per_width).collect::<Vec<f64>>();
             let residual = |at: usize| {
                 let log_det = |own: &Reductions| -2.0 * own.get(at).constant - own.get(at).residual.unwrap_or(f64::NAN);
                 let [j, k] = trees.map(|tree| &tree.nodes[0][at].information);
-                per(log_det(&high) - log_det(&low) + tree.log_det_information_change(0, at, j, k))
+                per_width(log_det(&high) - log_det(&low) + tree.log_det_information_change(0, at, j, k))
             };
             let (residuals, groups) = ((0..self.tests.len()).map(residual).collect(), 1..=tree.depth());
             let (tests, groups) = (level(0), groups.map(level).collect());
-            Ok(Some(ParameterEffect { index, all: per(tree.difference(trees)), tests, groups, residuals }))
+            Ok(Some(ParameterEffect { index, all: per_width(tree.joint_log_det_difference(trees)), tests, groups, residuals }))
         };
         let all: Result<Vec<Option<ParameterEffect>>, ApplyError> = doubt.parameters().map(of).collect();
         Ok(all?.into_iter().flatten().collect())
     }
 
-    fn reduced(&self, alpha: &Alpha) -> Result<Reductions, ApplyError> {
+    fn reductions_at(&self, alpha: &Alpha) -> Result<Reductions, ApplyError> {
         let slots = Slots::none(self.model.shared());
         Ok(PhasedReducer::scoring(self.model, alpha, &slots)?.reduce(self.tests)?)
     }
@@ -133,20 +133,20 @@ impl LawBuilder<'_> {
             of_groups.iter().enumerate().map(|(level, all)| self.groups(level, all)).collect();
         let [distance, within, residual] = self.said.degrees();
         let outermost = of_groups.last().map(|all| Weights::sum(all.iter()));
-        let by_groups = |moved: &ParameterEffect| -> f64 {
+        let outer_slope = |moved: &ParameterEffect| -> f64 {
             moved.groups.last().map_or_else(|| moved.tests.iter().sum(), |groups| groups.iter().sum())
         };
-        let top = outermost.as_ref().unwrap_or(&of_tests);
+        let distance_weights = outermost.as_ref().unwrap_or(&of_tests);
         let within = outermost.as_ref().and_then(|groups| {
             let posteriors: Vec<Vec<_>> =
                 self.said.groups.iter().map(|level| level.iter().map(|group| &group.covariance).collect()).collect();
             let mut all = self.tree.all(&posteriors);
             all.of_means.clone_from(&groups.of_means);
             all.add(groups, -1.0);
-            self.law(&all, within, 0, &|moved| moved.all - by_groups(moved))
+            self.law(&all, within, 0, &|moved| moved.all - outer_slope(moved))
         });
         Laws {
-            distance: self.law(top, distance, self.tree.depth(), &by_groups),
+            distance: self.law(distance_weights, distance, self.tree.depth(), &outer_slope),
             within,
             residual: self.residual(residual.1, &|moved| moved.residuals.iter().sum()),
             tests,
@@ -161,18 +161,18 @@ impl LawBuilder<'_> {
 
     /// Laws of the distances of tests, and the weights in their sum.
     fn tests(&self) -> (Vec<Option<Law>>, Weights) {
-        let beyond = self.tree.beyond(0);
-        let numbers: Vec<usize> = (0..self.said.posteriors.len()).collect();
-        let chunk = |numbers: &[usize]| {
-            let all: Vec<Weights> = numbers.iter().map(|&test| self.tree.test(test, &beyond)).collect();
+        let outer_sigma = self.tree.outer_sigma(0);
+        let indices: Vec<usize> = (0..self.said.posteriors.len()).collect();
+        let chunk = |indices: &[usize]| {
+            let all: Vec<Weights> = indices.iter().map(|&test| self.tree.test(test, &outer_sigma)).collect();
             let law = |(&test, weights): (&usize, &Weights)| {
                 let degrees = self.said.posteriors.get(test).distance.degrees_of_freedom;
                 self.law(weights, (1, degrees), self.tree.depth(), &|moved| moved.tests[test])
             };
-            let laws: Vec<Option<Law>> = numbers.iter().zip(&all).map(law).collect();
+            let laws: Vec<Option<Law>> = indices.iter().zip(&all).map(law).collect();
             (laws, Weights::sum(all.iter()))
         };
-        let parts: Vec<(Vec<Option<Law>>, Weights)> = numbers.par_chunks(CHUNK).map(chunk).collect();
+        let parts: Vec<(Vec<Option<Law>>, Weights)> = indices.par_chunks(CHUNK).map(chunk).collect();
         let sum = Weights::sum(parts.iter().map(|(_, sum)| sum));
         (parts.into_iter().flat_map(|(laws, _)| laws).collect(), sum)
     }
@@ -212,9 +212,9 @@ impl LawBuilder<'_> {
             return None;
         }
         let variance = self.doubt.variance(weights, &own) / (degrees * degrees);
-        let most = (degrees / count).max(1.0);
+        let degrees_each = (degrees / count).max(1.0);
         let (dimension, sharing_variance) = self.doubt.dimension(&weights.of_level[level], level);
-        let (dimension, sharing_variance) = (dimension.min(most), sharing_variance.min(most));
+        let (dimension, sharing_variance) = (dimension.min(degrees_each), sharing_variance.min(degrees_each));
         let of_mean = self.doubt.of_means(&weights.of_means);
         let is_of_means = of_mean > 0.0;
         let means = if is_of_means { self.doubt.means(&weights.of_means, of_mean) as f64 } else { 0.0 };

@@ -20,20 +20,20 @@ impl Applied<'_> {
         let reductions = self.reductions.select(&numbers);
         let found = scorer.all_smoothed(&self.tests[tests.clone()], &reductions, &law)?;
         let states: Vec<Result<Vec<PhaseStates>, ReduceError>> =
-            self.tests[tests].par_iter().zip(found).map(|(test, phases)| self.of_test(test, phases)).collect();
+            self.tests[tests].par_iter().zip(found).map(|(test, phases)| self.states_of_test(test, phases)).collect();
         Ok(states.into_iter().collect::<Result<_, _>>()?)
     }
 
-    fn of_test(&self, test: &PhasedTest, phases: Vec<Option<Vec<Smoothed>>>) -> Result<Vec<PhaseStates>, ReduceError> {
+    fn states_of_test(&self, test: &PhasedTest, phases: Vec<Option<Vec<Smoothed>>>) -> Result<Vec<PhaseStates>, ReduceError> {
         let mut states = Vec::with_capacity(phases.len());
         for (at, (evidence, found)) in test.phases.iter().zip(phases).enumerate() {
             let (Evidence::Rows(rows), Some(found)) = (evidence, found) else { continue };
-            let record = EvaluatedPhase::new(&self.reducer.phases()[at], rows)?;
+            let evaluated_phase = EvaluatedPhase::new(&self.reducer.phases()[at], rows)?;
             let known = found.into_iter().skip(1).map(|one| {
                 let n = one.mean.len();
                 StepMoments { covariance: DMatrix::from_row_slice(n, n, &one.variance), mean: one.mean }
             });
-            states.push(record.states(at, known, false));
+            states.push(evaluated_phase.states(at, known, false));
         }
         Ok(states)
     }

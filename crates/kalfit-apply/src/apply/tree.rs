@@ -27,7 +27,7 @@ pub(super) struct TreeNode {
     /// W = (I + JΣ)⁻¹J with Σ of the node's level, p × p.
     weight: DMatrix<f64>,
     /// Derivatives of y with respect to the estimated means, p × means; for a test, J times the effect of the means.
-    shift: DMatrix<f64>,
+    mean_slope: DMatrix<f64>,
 }
 
 /// Tests and groups as nodes: the tests first, then the groups of each level, the innermost level first.
@@ -52,7 +52,7 @@ pub(super) struct Weights {
 pub(super) type Effect<'a> = dyn Fn(ReductionRef<'_>) -> DMatrix<f64> + Sync + 'a;
 
 /// Standard deviation assumed for an exact measurement, as a fraction of the standard deviation over the population.
-const EXACT_DEVIATION: f64 = 1e-3;
+const EXACT_DEVIATION_RATIO: f64 = 1e-3;
 
 /// R with an additional row for each exact measurement, (p + exact measurements) × p.
 fn root_with_exact(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
@@ -63,7 +63,7 @@ fn root_with_exact(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix
     for (i, row) in exact.matrix(p).row_iter().enumerate() {
         let deviation = (row * sigma * row.transpose())[(0, 0)].sqrt();
         if deviation > 0.0 {
-            all.set_row(p + i, &(row / (EXACT_DEVIATION * deviation)));
+            all.set_row(p + i, &(row / (EXACT_DEVIATION_RATIO * deviation)));
         }
     }
     all
@@ -83,8 +83,8 @@ impl TestTree {
             // the first block of Σ is of the tests; the blocks of the levels of groups follow
             let root = root_with_exact(reduction, &sigmas[0]);
             let information = root.transpose() * &root;
-            let shift = &information * effect(reduction);
-            TreeNode { weight: weight(&root, &sigmas[0]), information, shift }
+            let mean_slope = &information * effect(reduction);
+            TreeNode { weight: weight(&root, &sigmas[0]), information, mean_slope }
         };
         let mut nodes: Vec<Vec<TreeNode>> = vec![reductions.par_iter().map(test).collect()];
         let mut parents = Vec::new();
@@ -100,16 +100,16 @@ impl TestTree {
                     .collect(),
                 _ => grouping.groups(level - 1).iter().map(|group| group.parent.expect("it is inner")).collect(),
             };
-            let means = nodes[level].first().map_or(0, |node| node.shift.ncols());
+            let means = nodes[level].first().map_or(0, |node| node.mean_slope.ncols());
             let zero = || (DMatrix::zeros(p, p), DMatrix::zeros(p, means));
             let mut sums: Vec<(DMatrix<f64>, DMatrix<f64>)> = groups.iter().map(|_| zero()).collect();
             for (node, &parent) in nodes[level].iter().zip(&parent) {
                 sums[parent].0 += &node.weight;
-                sums[parent].1 += &node.shift - &node.weight * (&sigmas[level] * &node.shift);
+                sums[parent].1 += &node.mean_slope - &node.weight * (&sigmas[level] * &node.mean_slope);
             }
-            let group = |(information, shift): (DMatrix<f64>, DMatrix<f64>)| {
+            let group = |(information, mean_slope): (DMatrix<f64>, DMatrix<f64>)| {
                 let root = symmetric::square_root(&information).transpose();
-                TreeNode { weight: weight(&root, &sigmas[level + 1]), information, shift }
+                TreeNode { weight: weight(&root, &sigmas[level + 1]), information, mean_slope }
             };
             nodes.push(sums.into_iter().map(group).collect());
             parents.push(parent);
@@ -122,25 +122,25 @@ impl TestTree {
     }
 
     /// Σ₊, p × p: the sum of Σ over `level` and all outer levels.
-    pub(super) fn beyond(&self, level: usize) -> DMatrix<f64> {
+    pub(super) fn outer_sigma(&self, level: usize) -> DMatrix<f64> {
         self.sigmas[level..].iter().sum()
     }
 
     fn zero_weights(&self) -> Weights {
-        let (p, means) = (self.sigmas[0].nrows(), self.nodes[0].first().map_or(0, |node| node.shift.ncols()));
+        let (p, means) = (self.sigmas[0].nrows(), self.nodes[0].first().map_or(0, |node| node.mean_slope.ncols()));
         Weights { of_level: vec![DMatrix::zeros(p, p); self.sigmas.len()], of_means: DMatrix::zeros(means, means) }
     }
 
     /// Weights of Σ and the means in the distance of one test, given Σ₊ of level 0.
-    pub(super) fn test(&self, number: usize, beyond: &DMatrix<f64>) -> Weights {
-        self.distance(&self.nodes[0][number], 0, beyond).0
+    pub(super) fn test(&self, number: usize, outer_sigma: &DMatrix<f64>) -> Weights {
+        self.distance(&self.nodes[0][number], 0, outer_sigma).0
     }
 
     /// Weights in the distance of each group of a level from the population.
     pub(super) fn groups(&self, level: usize) -> Vec<Weights> {
-        let beyond = self.beyond(level);
+        let outer_sigma = self.outer_sigma(level);
         let top: Vec<(Weights, DMatrix<f64>)> =
-            self.nodes[level].par_iter().map(|node| self.distance(node, level, &beyond)).collect();
+            self.nodes[level].par_iter().map(|node| self.distance(node, level, &outer_sigma)).collect();
         let (mut weights, mut inner): (Vec<Weights>, Vec<DMatrix<f64>>) = top.into_iter().unzip();
         // the node of `level` that each node of the level below is in (`above`), and M of that node's parent (`inner`)
         let mut above: Vec<usize> = (0..weights.len()).collect();
@@ -165,13 +165,13 @@ impl TestTree {
     }
 
     /// Weights in the distance of one node, nonzero for `level` and all outer levels; and M of the node, p × p.
-    fn distance(&self, node: &TreeNode, level: usize, beyond: &DMatrix<f64>) -> (Weights, DMatrix<f64>) {
+    fn distance(&self, node: &TreeNode, level: usize, outer_sigma: &DMatrix<f64>) -> (Weights, DMatrix<f64>) {
         let j = &node.information;
-        let m = scaled_inverse(&(j + j * beyond * j));
+        let m = scaled_inverse(&(j + j * outer_sigma * j));
         let own = j * &m * j;
         let mut weights = self.zero_weights();
         weights.of_level[level..].iter_mut().for_each(|of| of.clone_from(&own));
-        weights.of_means = node.shift.transpose() * &m * &node.shift;
+        weights.of_means = node.mean_slope.transpose() * &m * &node.mean_slope;
         (weights, m)
     }
 
@@ -195,12 +195,12 @@ impl TestTree {
     /// For each node of a level, the difference of log |J⁻¹ + Σ₊|, the log determinant of the covariance in the
     /// distance, between the trees at a higher and at a lower value of a parameter. `self` is at the value between the
     /// two.
-    pub(super) fn differences(&self, level: usize, [low, high]: [&TestTree; 2]) -> Vec<f64> {
-        let beyond = self.beyond(level);
+    pub(super) fn log_det_differences(&self, level: usize, [low, high]: [&TestTree; 2]) -> Vec<f64> {
+        let outer_sigma = self.outer_sigma(level);
         let one = |at: usize| {
             let [low, high] = [low, high].map(|tree| &tree.nodes[level][at].information);
-            log_det_plus_identity(high, &beyond)
-                - log_det_plus_identity(low, &beyond)
+            log_det_plus_identity(high, &outer_sigma)
+                - log_det_plus_identity(low, &outer_sigma)
                 - self.log_det_information_change(level, at, low, high)
         };
         (0..self.nodes[level].len()).into_par_iter().map(one).collect()
@@ -208,7 +208,7 @@ impl TestTree {
 
     /// Difference of the log determinant of the joint covariance of all tests' estimates between the trees at a higher
     /// and at a lower value of a parameter.
-    pub(super) fn difference(&self, [low, high]: [&TestTree; 2]) -> f64 {
+    pub(super) fn joint_log_det_difference(&self, [low, high]: [&TestTree; 2]) -> f64 {
         let mut sum = 0.0;
         for (level, sigma) in self.sigmas.iter().enumerate() {
             for (at, [low, high]) in (0..self.nodes[level].len()).map(|at| (at, [low, high])) {

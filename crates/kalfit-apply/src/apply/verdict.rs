@@ -31,7 +31,7 @@ pub struct Joint {
 }
 
 /// (Number of squares with at least one degree of freedom, sum of the degrees of freedom of all squares).
-type Degrees = (usize, usize);
+type CountAndSum = (usize, usize);
 
 impl Joint {
     fn new(squared: f64, degrees_of_freedom: usize, law: Option<Law>) -> Joint {
@@ -42,15 +42,15 @@ impl Joint {
 impl Said {
     /// Degrees of freedom of the distances (of outermost groups, or of tests without groups), of the distances within
     /// groups, and of the residuals.
-    pub(super) fn degrees(&self) -> [Degrees; 3] {
-        let of = |degrees: &mut dyn Iterator<Item = usize>| {
+    pub(super) fn degrees(&self) -> [CountAndSum; 3] {
+        let count_and_sum = |degrees: &mut dyn Iterator<Item = usize>| {
             degrees.filter(|own| *own > 0).fold((0, 0), |(count, sum), own| (count + 1, sum + own))
         };
-        let tests = of(&mut self.posteriors.iter().map(|test| test.distance.degrees_of_freedom));
-        let residuals = of(&mut self.residuals.iter().flatten().map(|own| own.1));
+        let tests = count_and_sum(&mut self.posteriors.iter().map(|test| test.distance.degrees_of_freedom));
+        let residuals = count_and_sum(&mut self.residuals.iter().flatten().map(|own| own.1));
         match self.groups.last() {
             Some(groups) => {
-                let groups = of(&mut groups.iter().map(|group| group.distance.degrees_of_freedom));
+                let groups = count_and_sum(&mut groups.iter().map(|group| group.distance.degrees_of_freedom));
                 [groups, (tests.0.saturating_sub(groups.0), tests.1.saturating_sub(groups.1)), residuals]
             }
             None => [tests, (0, 0), residuals],
@@ -59,7 +59,7 @@ impl Said {
 
     /// Log density and sums of squares over all tests; the sums are compared with `laws`.
     pub fn verdict(&self, laws: &Laws) -> Verdict {
-        let [(_, of_distance), (_, of_within), (_, of_residual)] = self.degrees();
+        let [(_, distance_degrees), (_, within_degrees), (_, residual_degrees)] = self.degrees();
         // tests of one group are not independent; groups of the outermost level are
         let squared = match self.groups.last() {
             Some(groups) => groups.iter().map(|group| group.distance.squared).sum(),
@@ -67,14 +67,14 @@ impl Said {
         };
         let within = self.groups.last().map(|groups| {
             let squared = groups.iter().map(|group| group.within).sum();
-            Joint::new(squared, of_within, laws.within)
+            Joint::new(squared, within_degrees, laws.within)
         });
         let residual = self.residuals.iter().flatten().map(|own| own.0).sum();
         Verdict {
             log_density: self.log_density(),
-            distance: Joint::new(squared, of_distance, laws.distance),
+            distance: Joint::new(squared, distance_degrees, laws.distance),
             within,
-            residual: Joint::new(residual, of_residual, laws.residual),
+            residual: Joint::new(residual, residual_degrees, laws.residual),
         }
     }
 

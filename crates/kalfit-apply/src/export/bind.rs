@@ -53,7 +53,7 @@ impl<'a> Binder<'a> {
     /// The expression with all known values substituted. Parts without a finite value stay as they are.
     pub fn bind(&self, expression: &Expression) -> Expression {
         use Expression as E;
-        let own = |part: &Expression| Box::new(self.bind(part));
+        let bind_boxed = |part: &Expression| Box::new(self.bind(part));
         match expression {
             E::Number(_) => expression.clone(),
             E::Column(column) => self.numbers.get(column).map_or(expression.clone(), |&x| E::Number(x)),
@@ -63,15 +63,15 @@ impl<'a> Binder<'a> {
                 Some((label, _)) => E::Number(f64::from(u8::from(label.index() == *literal))),
                 None => expression.clone(),
             },
-            E::Negate(a) => folded(E::Negate(own(a))),
-            E::Not(a) => folded(E::Not(own(a))),
-            E::Binary(operator, a, b) => combined(*operator, own(a), own(b)),
+            E::Negate(a) => folded(E::Negate(bind_boxed(a))),
+            E::Not(a) => folded(E::Not(bind_boxed(a))),
+            E::Binary(operator, a, b) => combined(*operator, bind_boxed(a), bind_boxed(b)),
             E::Call(function, arguments) => {
                 folded(E::Call(*function, arguments.iter().map(|argument| self.bind(argument)).collect()))
             }
             E::If(condition, a, b) => match self.bind(condition) {
                 E::Number(x) => self.bind(if x != 0.0 { a } else { b }),
-                condition => E::If(Box::new(condition), own(a), own(b)),
+                condition => E::If(Box::new(condition), bind_boxed(a), bind_boxed(b)),
             },
         }
     }
@@ -140,7 +140,7 @@ impl<'a> Binder<'a> {
     }
 
     /// The value of a numeric column, if fixed; otherwise zero, and the dependence of `subject` on the column is noted.
-    pub(super) fn cell(&mut self, column: usize, subject: Subject) -> Result<f64, ExportError> {
+    pub(super) fn column_value(&mut self, column: usize, subject: Subject) -> Result<f64, ExportError> {
         self.number(&Expression::Column(column), subject)
     }
 

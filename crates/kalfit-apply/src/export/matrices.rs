@@ -31,7 +31,7 @@ impl ConstantModel {
         let moves = preparer.plan.moves(dynamics, &dynamics.table.fixed, step, (&mut Filled::default(), None));
         let moves = moves.map_err(named)?;
         let mut inputs: Vec<Expression> = Vec::new();
-        for (_, term) in plain.drives.iter().chain(&plain.offsets).flatten() {
+        for (_, term) in plain.state_inputs.iter().chain(&plain.offsets).flatten() {
             if !inputs.contains(term) {
                 inputs.push(term.clone());
             }
@@ -41,13 +41,13 @@ impl ConstantModel {
     }
 
     /// The transition matrix F, n × n.
-    pub(super) fn phi(&self) -> DMatrix<f64> {
+    pub(super) fn transition_matrix(&self) -> DMatrix<f64> {
         let states = &self.preparer.order.states;
         self.moves.transition.dense_phi(states.len(), |place| states[place])
     }
 
     /// The covariance Q of the process noise, n × n.
-    pub(super) fn noise(&self) -> DMatrix<f64> {
+    pub(super) fn process_noise(&self) -> DMatrix<f64> {
         let states = &self.preparer.order.states;
         self.moves.transition.dense_noise(states.len(), |place| states[place])
     }
@@ -58,9 +58,9 @@ impl ConstantModel {
         let mut B = DMatrix::zeros(order.states.len(), self.inputs.len());
         for (column, input) in self.inputs.iter().enumerate() {
             let mut values = vec![0.0; dynamics.inputs.fixed.len()];
-            for (state, terms) in plain.drives.iter().enumerate() {
-                if let Some(slot) = self.slot(state) {
-                    values[slot] = coefficient(terms, input);
+            for (state, terms) in plain.state_inputs.iter().enumerate() {
+                if let Some(input_index) = self.input_index(state) {
+                    values[input_index] = coefficient(terms, input);
                 }
             }
             let mut moved = Vec::new();
@@ -73,7 +73,7 @@ impl ConstantModel {
     }
 
     /// Index of the input of a state among the inputs of the dynamics; `None` where the state has no input.
-    fn slot(&self, state: usize) -> Option<usize> {
+    fn input_index(&self, state: usize) -> Option<usize> {
         let dynamics = &self.preparer.dynamics;
         if let Some(own) = dynamics.recursions.iter().find(|own| own.state == state) {
             return own.input;
@@ -103,7 +103,7 @@ impl ConstantModel {
     }
 
     /// The covariance R of the measurement noise, m × m.
-    pub(super) fn measured_noise(&self) -> Result<DMatrix<f64>, ExportError> {
+    pub(super) fn measurement_noise(&self) -> Result<DMatrix<f64>, ExportError> {
         let model = &self.preparer.model;
         let m = model.measurements.len();
         let mut R = DMatrix::zeros(m, m);

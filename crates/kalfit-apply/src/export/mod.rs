@@ -99,13 +99,13 @@ pub fn export(
     Ok(Exported {
         phase: at,
         step: wanted.step,
-        F: constant_model.phi(),
-        Q: constant_model.noise(),
+        F: constant_model.transition_matrix(),
+        Q: constant_model.process_noise(),
         B: constant_model.driven(&plain),
         measurements: plain.model.measurements.iter().filter_map(measured).collect(),
         H: constant_model.equations(),
         D: constant_model.offsets(&plain),
-        R: constant_model.measured_noise()?,
+        R: constant_model.measurement_noise()?,
         inputs: constant_model.inputs,
         filters: plain.filters,
         start,
@@ -136,7 +136,7 @@ fn check_step(phase: &Phase, step: Option<f64>) -> Result<(), ExportError> {
 fn mean(phase: &Phase, own: &Population, binder: &mut Binder<'_>) -> Result<Vec<f64>, ExportError> {
     let mut mean = own.mean.clone();
     for (r, (regression, coefficient)) in phase.model.mean.regression.iter().zip(&own.coefficients).enumerate() {
-        mean[regression.element] += coefficient * binder.cell(regression.column, Subject::Regression(r))?;
+        mean[regression.element] += coefficient * binder.column_value(regression.column, Subject::Regression(r))?;
     }
     Ok(mean)
 }

@@ -11,7 +11,7 @@ use kalfit_model::{Expression, Initial, Linear, Model, Motion};
 pub(super) struct PlainModel {
     pub(super) model: Model,
     /// Terms of the known input of each state.
-    pub(super) drives: Vec<Terms>,
+    pub(super) state_inputs: Vec<Terms>,
     /// Terms of the known input of each measurement.
     pub(super) offsets: Vec<Terms>,
     /// Condition `where` of each measurement; `None` where the condition holds on all rows.
@@ -23,23 +23,23 @@ impl PlainModel {
     /// whether the law of x_0 is wanted.
     pub(super) fn new(model: &Model, binder: &mut Binder<'_>, starts: bool) -> Result<PlainModel, ExportError> {
         let mut plain =
-            PlainModel { model: model.clone(), drives: Vec::new(), offsets: Vec::new(), filters: Vec::new() };
+            PlainModel { model: model.clone(), state_inputs: Vec::new(), offsets: Vec::new(), filters: Vec::new() };
         plain.model.clock.initial_time = None;
         plain.states(binder, starts)?;
         plain.measurements(binder)?;
-        let silent: Vec<bool> = plain.filters.iter().map(reads_no_row).collect();
+        let unread: Vec<bool> = plain.filters.iter().map(reads_no_row).collect();
         let own = &mut plain.model;
         for (i, j, covariance) in &mut own.process_noise_covariance {
             set_number(binder, covariance, Subject::ProcessCovariance(*i, *j))?;
         }
-        own.noise_covariance.retain(|(i, j, _)| !silent[*i] && !silent[*j]);
+        own.noise_covariance.retain(|(i, j, _)| !unread[*i] && !unread[*j]);
         for (i, j, covariance) in &mut own.noise_covariance {
             set_number(binder, covariance, Subject::NoiseCovariance(*i, *j))?;
         }
         for entry in own.covariance.known.iter_mut().flatten().flatten() {
-            start(binder, entry, Subject::KnownCovariance, starts)?;
+            set_start_number(binder, entry, Subject::KnownCovariance, starts)?;
         }
-        plain.drop_unread(&silent)?;
+        plain.drop_unread(&unread)?;
         Ok(plain)
     }
 
@@ -59,13 +59,13 @@ impl PlainModel {
             if let Some(variance) = variance {
                 set_number(binder, variance, Subject::ProcessNoise(i))?;
             }
-            self.drives.push(drive);
+            self.state_inputs.push(drive);
             if let Initial::Known { mean, variance } = &mut state.initial {
-                start(binder, mean, Subject::InitialMean(i), starts)?;
-                start(binder, variance, Subject::InitialVariance(i), starts)?;
+                set_start_number(binder, mean, Subject::InitialMean(i), starts)?;
+                set_start_number(binder, variance, Subject::InitialVariance(i), starts)?;
             }
             if let Some(offset) = &mut state.offset {
-                start(binder, offset, Subject::Offset(i), starts)?;
+                set_start_number(binder, offset, Subject::Offset(i), starts)?;
             }
         }
         Ok(())
@@ -87,16 +87,16 @@ impl PlainModel {
     }
 
     /// Leaves out measurements that read no row.
-    fn drop_unread(&mut self, silent: &[bool]) -> Result<(), ExportError> {
-        if !silent.contains(&false) {
+    fn drop_unread(&mut self, unread: &[bool]) -> Result<(), ExportError> {
+        if !unread.contains(&false) {
             let measurements = self.model.measurements.iter().map(|measurement| measurement.name.clone()).collect();
             return Err(ExportError::NothingMeasured { measurements });
         }
-        let place = |m: usize| silent[..m].iter().filter(|silent| !**silent).count();
-        let kept = |m: usize| !silent[m];
-        self.model.measurements = retained(&self.model.measurements, &kept);
-        self.offsets = retained(&self.offsets, &kept);
-        self.filters = retained(&self.filters, &kept);
+        let place = |m: usize| unread[..m].iter().filter(|unread| !**unread).count();
+        let is_read = |m: usize| !unread[m];
+        self.model.measurements = retained(&self.model.measurements, &is_read);
+        self.offsets = retained(&self.offsets, &is_read);
+        self.filters = retained(&self.filters, &is_read);
         // a condition that holds on every row at these values is dropped
         self.filters.iter_mut().for_each(|filter| *filter = filter.take().filter(|own| own.as_number().is_none()));
         self.model.noise_covariance.iter_mut().for_each(|(i, j, _)| (*i, *j) = (place(*i), place(*j)));
@@ -109,8 +109,8 @@ fn reads_no_row(filter: &Option<Expression>) -> bool {
     filter.as_ref().is_some_and(|own| own.as_number() == Some(0.0))
 }
 
-fn retained<T: Clone>(all: &[T], kept: &dyn Fn(usize) -> bool) -> Vec<T> {
-    all.iter().enumerate().filter(|(m, _)| kept(*m)).map(|(_, one)| one.clone()).collect()
+fn retained<T: Clone>(all: &[T], is_read: &dyn Fn(usize) -> bool) -> Vec<T> {
+    all.iter().enumerate().filter(|(m, _)| is_read(*m)).map(|(_, one)| one.clone()).collect()
 }
 
 /// Replaces the coefficients of states by numbers, and splits the known input into terms.
@@ -141,7 +141,7 @@ fn set_number(binder: &mut Binder<'_>, expression: &mut Expression, subject: Sub
 }
 
 /// Replaces a coefficient of the start by its number, or by zero where the start is not wanted.
-fn start(
+fn set_start_number(
     binder: &mut Binder<'_>,
     expression: &mut Expression,
     subject: Subject,

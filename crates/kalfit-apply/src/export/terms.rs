@@ -83,7 +83,7 @@ mod tests {
         Box::new(Expression::Column(c))
     }
 
-    fn of(operator: Operator, a: Box<Expression>, b: Box<Expression>) -> Box<Expression> {
+    fn binary(operator: Operator, a: Box<Expression>, b: Box<Expression>) -> Box<Expression> {
         Box::new(Expression::Binary(operator, a, b))
     }
 
@@ -91,21 +91,21 @@ mod tests {
     fn sums_are_taken_apart_and_equal_terms_put_together() {
         use Operator::{Add, Divide, Multiply, Subtract};
         // 3 * (T - 20) / 2 - (-T) + u * 4 * T
-        let first = of(Divide, of(Multiply, number(3.0), of(Subtract, column(0), number(20.0))), number(2.0));
-        let second = of(Subtract, first, Box::new(Expression::Negate(column(0))));
-        let whole = of(Add, second, of(Multiply, of(Multiply, column(1), number(4.0)), column(0)));
-        let product = *of(Multiply, column(1), column(0));
+        let first = binary(Divide, binary(Multiply, number(3.0), binary(Subtract, column(0), number(20.0))), number(2.0));
+        let second = binary(Subtract, first, Box::new(Expression::Negate(column(0))));
+        let whole = binary(Add, second, binary(Multiply, binary(Multiply, column(1), number(4.0)), column(0)));
+        let product = *binary(Multiply, column(1), column(0));
         let expected = vec![(2.5, *column(0)), (-30.0, ONE), (4.0, product)];
         assert_eq!(terms(&whole), expected);
     }
 
     #[test]
     fn what_cancels_is_no_input() {
-        let nothing = of(Operator::Subtract, column(0), column(0));
+        let nothing = binary(Operator::Subtract, column(0), column(0));
         assert_eq!(terms(&nothing), vec![]);
         assert_eq!(
-            terms(&of(Operator::Divide, number(2.0), column(0))),
-            vec![(2.0, *of(Operator::Divide, number(1.0), column(0)))]
+            terms(&binary(Operator::Divide, number(2.0), column(0))),
+            vec![(2.0, *binary(Operator::Divide, number(1.0), column(0)))]
         );
     }
 }

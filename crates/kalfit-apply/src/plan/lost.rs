@@ -42,8 +42,8 @@ pub fn information_lost(
     structure: &Structure<'_>,
     population: &Population,
 ) -> Result<InformationLost, PlanError> {
-    let one = |reductions: &Reductions| plan(reductions, structure, population, &[reductions.len().max(1)]);
-    let (best, own) = (one(raw)?, one(suboptimal)?);
+    let plan_for = |reductions: &Reductions| plan(reductions, structure, population, &[reductions.len().max(1)]);
+    let (best, own) = (plan_for(raw)?, plan_for(suboptimal)?);
     let ratio = |(best, own): (&crate::plan::Planned, &crate::plan::Planned)| {
         let (Ok(best_error), Ok(own_error)) = (&best.std_errors, &own.std_errors) else { return None };
         Some(StdErrorRatio { quantity: best.quantity, ratio: own_error[0] / best_error[0] })

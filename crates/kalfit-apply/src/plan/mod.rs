@@ -115,7 +115,7 @@ pub fn plan(
     let found = Expected::of(reductions, structure, population)?;
     let n = reductions.len();
     let at_each = |error: f64| tests.iter().map(|&many| error * (n as f64 / many as f64).sqrt()).collect();
-    let one = |quantity: Quantity| Planned {
+    let planned = |quantity: Quantity| Planned {
         quantity,
         value: found.at(population).value(quantity),
         std_errors: found
@@ -125,7 +125,7 @@ pub fn plan(
             .ok_or_else(|| found.at(population).reason(quantity)),
     };
     let elements = &found.state.problem.covariance.elements;
-    let quantities = quantities(elements, regressions).into_iter().map(one).collect();
+    let quantities = quantities(elements, regressions).into_iter().map(planned).collect();
     Ok(Plan { design_tests: n, tests: tests.to_vec(), arrangements: Vec::new(), quantities })
 }
 
@@ -160,10 +160,10 @@ fn off_structure(error: ExpectedError) -> PlanError {
 /// Quantities of all phases. Pairs are within a phase, because states of different phases are independent.
 fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
     let p = elements.states();
-    let below = || elements.all().filter(|(i, j)| i != j);
+    let off_diagonal = || elements.all().filter(|(i, j)| i != j);
     let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let spreads = (0..p).map(Quantity::StdDev).chain(below().map(|(i, j)| Quantity::Correlation(i, j)));
-    means.chain(spreads).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
+    let deviations_and_correlations = (0..p).map(Quantity::StdDev).chain(off_diagonal().map(|(i, j)| Quantity::Correlation(i, j)));
+    means.chain(deviations_and_correlations).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 
 /// The results of [`Expected`], with the population.

@@ -91,30 +91,30 @@ impl VarianceEstimate {
             return Some(VarianceEstimate { variance, scale: variance, degrees, of_mean, degrees_of_mean });
         }
         let lost = estimation.lost as f64;
-        let alone = 2.0 * population * population / of_population;
+        let tests_from_variance = 2.0 * population * population / of_population;
         let tests_from_errors =
             if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
         // number of tests that the errors of mean and variance imply together, at least the number that the error of
         // the variance implies alone
-        let (left, inflation) = if estimation.is_restricted {
+        let (degrees_left, inflation) = if estimation.is_restricted {
             // `tests_from_errors` is N² / (N - k)
             let tests =
                 0.5 * (tests_from_errors + (tests_from_errors * (tests_from_errors - 4.0 * lost)).max(0.0).sqrt());
-            (alone.max(tests.min(estimation.tests) - lost), 1.0)
+            (tests_from_variance.max(tests.min(estimation.tests) - lost), 1.0)
         } else {
-            let tests = alone.max(tests_from_errors.min(estimation.tests));
+            let tests = tests_from_variance.max(tests_from_errors.min(estimation.tests));
             (tests - lost, tests / (tests - lost))
         };
-        if left < 0.5 {
+        if degrees_left < 0.5 {
             return None;
         }
-        let seen = (0.5 * of_population * left * inflation).sqrt();
+        let seen = (0.5 * of_population * degrees_left * inflation).sqrt();
         let variance = population + (inflation - 1.0) * seen + value.process;
         let scale = variance.max(inflation * seen);
         let degrees = 2.0 * scale * scale / (estimation.variance + (inflation.powi(3) - 1.0) * of_population);
-        let spread =
-            VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean * inflation, degrees_of_mean: left };
-        (degrees >= 0.5).then_some(spread)
+        let variance_estimate =
+            VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean * inflation, degrees_of_mean: degrees_left };
+        (degrees >= 0.5).then_some(variance_estimate)
     }
 
     /// Whether r = 0: then all half widths are proportional to 1/c, and no search for c is needed.
@@ -136,7 +136,7 @@ impl VarianceEstimate {
     }
 
     /// P(χ²_ν/ν ≥ c²).
-    fn beyond(&self, law: &ChiSquared, c: f64) -> f64 {
+    fn upper_tail(&self, law: &ChiSquared, c: f64) -> f64 {
         if c <= 0.0 { 1.0 } else { law.sf(self.degrees * c * c) }
     }
 }
@@ -162,35 +162,35 @@ impl Bounds {
         if let MeanLimits::Profile(found) = value.limits {
             return found;
         }
-        let spread = VarianceEstimate::of(value)?;
+        let variance_estimate = VarianceEstimate::of(value)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
-        let quantile = match spread.degrees_of_mean < KNOWN_DEGREES {
-            true => StudentsT::new(0.0, 1.0, spread.degrees_of_mean).ok()?.inverse_cdf(upper),
+        let quantile = match variance_estimate.degrees_of_mean < KNOWN_DEGREES {
+            true => StudentsT::new(0.0, 1.0, variance_estimate.degrees_of_mean).ok()?.inverse_cdf(upper),
             false => normal().inverse_cdf(upper),
         };
-        let half = quantile * spread.of_mean.sqrt();
+        let half = quantile * variance_estimate.of_mean.sqrt();
         Some([value.mean - half, value.mean + half])
     }
 
     /// Limits that contain p of all tests with confidence γ; `None` where the limits are not known, or where a variance
     /// that affects the limits was estimated as zero.
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
-        let spread = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
-        if spread.variance == 0.0 {
+        let variance_estimate = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
+        if variance_estimate.variance == 0.0 {
             return self.of_mean(&Predicted { limits: MeanLimits::Error, ..value.clone() });
         }
-        let half = self.factor(&spread)? * spread.variance.sqrt();
+        let half = self.factor(&variance_estimate)? * variance_estimate.variance.sqrt();
         Some([value.mean - half, value.mean + half])
     }
 
     /// Factor h/s, a function of (s² + r)/s², V/s² and ν.
-    fn factor(&self, spread: &VarianceEstimate) -> Option<f64> {
-        let [scale, of_mean] = [spread.scale, spread.of_mean].map(|x| x / spread.variance);
-        let key = [scale, of_mean, spread.degrees].map(f64::to_bits);
+    fn factor(&self, variance_estimate: &VarianceEstimate) -> Option<f64> {
+        let [scale, of_mean] = [variance_estimate.scale, variance_estimate.of_mean].map(|x| x / variance_estimate.variance);
+        let key = [scale, of_mean, variance_estimate.degrees].map(f64::to_bits);
         if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).copied()) {
             return known;
         }
-        let unit = VarianceEstimate { variance: 1.0, scale, of_mean, ..*spread };
+        let unit = VarianceEstimate { variance: 1.0, scale, of_mean, ..*variance_estimate };
         let found = match self.limits.sides {
             Sides::One => self.one_sided(&unit),
             Sides::Two => self.two_sided(&unit),
@@ -204,52 +204,52 @@ impl Bounds {
     }
 
     /// h with P(m_c + z_p s_c ≤ m + h) = γ.
-    fn one_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
-        let (z, off, s) = (normal().inverse_cdf(self.limits.content), spread.of_mean.sqrt(), spread.variance.sqrt());
-        if spread.degrees >= KNOWN_DEGREES {
-            return Some(z * s + off * normal().inverse_cdf(self.limits.confidence));
+    fn one_sided(&self, variance_estimate: &VarianceEstimate) -> Option<f64> {
+        let (z, mean_offset, s) = (normal().inverse_cdf(self.limits.content), variance_estimate.of_mean.sqrt(), variance_estimate.variance.sqrt());
+        if variance_estimate.degrees >= KNOWN_DEGREES {
+            return Some(z * s + mean_offset * normal().inverse_cdf(self.limits.confidence));
         }
-        let law = ChiSquared::new(spread.degrees).ok()?;
-        let holds = |h: f64| {
-            let mut near = EarlierRoots::default();
-            let needed = |x: f64, near: &mut EarlierRoots| match spread.has_no_test_error() {
-                true => (z * s - x * off) / h,
-                false => decreasing_root(&|c| z * spread.at(c) - x * off / c, h, near),
+        let law = ChiSquared::new(variance_estimate.degrees).ok()?;
+        let confidence_at = |h: f64| {
+            let mut earlier_roots = EarlierRoots::default();
+            let needed = |x: f64, earlier_roots: &mut EarlierRoots| match variance_estimate.has_no_test_error() {
+                true => (z * s - x * mean_offset) / h,
+                false => decreasing_root(&|c| z * variance_estimate.at(c) - x * mean_offset / c, h, earlier_roots),
             };
-            (0..=INTERVALS).map(node).map(|(x, weight)| weight * spread.beyond(&law, needed(x, &mut near))).sum()
+            (0..=INTERVALS).map(node).map(|(x, weight)| weight * variance_estimate.upper_tail(&law, needed(x, &mut earlier_roots))).sum()
         };
-        increasing_root(&holds, self.limits.confidence, spread.approximate_half_width(self.limits.confidence, z))
+        increasing_root(&confidence_at, self.limits.confidence, variance_estimate.approximate_half_width(self.limits.confidence, z))
     }
 
     /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
-    fn two_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
-        let (off, s) = (spread.of_mean.sqrt(), spread.variance.sqrt());
-        if spread.degrees >= KNOWN_DEGREES {
+    fn two_sided(&self, variance_estimate: &VarianceEstimate) -> Option<f64> {
+        let (mean_offset, s) = (variance_estimate.of_mean.sqrt(), variance_estimate.variance.sqrt());
+        if variance_estimate.degrees >= KNOWN_DEGREES {
             // the content falls as the mean moves further off
-            return Some(s * self.widths.at(off / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))));
+            return Some(s * self.widths.at(mean_offset / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))));
         }
-        let law = ChiSquared::new(spread.degrees).ok()?;
+        let law = ChiSquared::new(variance_estimate.degrees).ok()?;
         let needed = |x: f64, c: f64| {
-            let (s, off) = (spread.at(c), x.abs() * off / c);
-            if s > off * 1e-9 { s * self.widths.at(off / s) } else { off }
+            let (s, mean_offset) = (variance_estimate.at(c), x.abs() * mean_offset / c);
+            if s > mean_offset * 1e-9 { s * self.widths.at(mean_offset / s) } else { mean_offset }
         };
         // the two sides of the mean are symmetric
-        let holds = |h: f64| {
-            let mut near = EarlierRoots::default();
+        let confidence_at = |h: f64| {
+            let mut earlier_roots = EarlierRoots::default();
             let half = (INTERVALS / 2..=INTERVALS).map(node).map(|(x, weight)| {
                 let both = if x > 0.0 { 2.0 } else { 1.0 };
-                let c = match spread.has_no_test_error() {
+                let c = match variance_estimate.has_no_test_error() {
                     true => needed(x, 1.0) / h,
-                    false => decreasing_root(&|c| needed(x, c), h, &mut near),
+                    false => decreasing_root(&|c| needed(x, c), h, &mut earlier_roots),
                 };
-                both * weight * spread.beyond(&law, c)
+                both * weight * variance_estimate.upper_tail(&law, c)
             });
             half.sum()
         };
         increasing_root(
-            &holds,
+            &confidence_at,
             self.limits.confidence,
-            spread.approximate_half_width(self.limits.confidence, self.widths.at(off / s)),
+            variance_estimate.approximate_half_width(self.limits.confidence, self.widths.at(mean_offset / s)),
         )
     }
 }
@@ -399,12 +399,12 @@ mod tests {
             tests: 1000.0,
         };
         let value = Predicted { population: ml, estimation: Some(estimation), ..of(30.0) };
-        let spread = VarianceEstimate::of(&value).expect("enough tests");
+        let variance_estimate = VarianceEstimate::of(&value).expect("enough tests");
         for (what, found, expected) in [
-            ("s²", spread.variance, 1.0),
-            ("s² + r", spread.scale, 4.0),
-            ("ν", spread.degrees, 29.0),
-            ("V", spread.of_mean, 4.0 / 30.0),
+            ("s²", variance_estimate.variance, 1.0),
+            ("s² + r", variance_estimate.scale, 4.0),
+            ("ν", variance_estimate.degrees, 29.0),
+            ("V", variance_estimate.of_mean, 4.0 / 30.0),
         ] {
             assert!((found - expected).abs() < 1e-9, "{what}: {found} against {expected}");
         }

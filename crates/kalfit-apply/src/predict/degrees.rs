@@ -39,16 +39,16 @@ impl LostDegrees<'_> {
     pub(super) fn lost(&self) -> usize {
         let tied = self.tied();
         let is_in = |element: usize| (self.affects)(element) || tied.contains(&element);
-        let random = self.means().any(|(_, i)| self.varies(i) && (self.affects)(i));
+        let has_varying_mean = self.means().any(|(_, i)| self.varies(i) && (self.affects)(i));
         let coefficients = self.quantities().filter_map(|(_, known)| match *known {
             Estimand::Population(Estimated::Coefficient(c)) if is_in(self.regressions[c].0) => {
                 Some(self.regressions[c])
             }
             _ => None,
         });
-        let as_one = |(element, column): (usize, usize)| (if tied.len() > 1 { element } else { 0 }, column);
-        let columns: BTreeSet<(usize, usize)> = coefficients.map(as_one).collect();
-        usize::from(random).max(self.independent_directions(&tied)) + columns.len() + self.noticeable_others()
+        let column_key = |(element, column): (usize, usize)| (if tied.len() > 1 { element } else { 0 }, column);
+        let columns: BTreeSet<(usize, usize)> = coefficients.map(column_key).collect();
+        usize::from(has_varying_mean).max(self.independent_directions(&tied)) + columns.len() + self.noticeable_others()
     }
 
     fn quantities(&self) -> impl Iterator<Item = (usize, &Estimand)> {
@@ -85,22 +85,22 @@ impl LostDegrees<'_> {
             let own = self.knowledge.covariance[(k, k)];
             own > 0.0 && (self.by_mean[k].powi(2) * own).max(covariances[k].powi(2) / own) > NOTICEABLE_SHARE * whole
         };
-        let fixed = self.means().filter(|&(_, i)| !self.varies(i)).map(|(k, _)| k);
-        let moves = |k: usize| self.by_mean[k] != 0.0;
+        let fixed_means = self.means().filter(|&(_, i)| !self.varies(i)).map(|(k, _)| k);
+        let affects_mean = |k: usize| self.by_mean[k] != 0.0;
         let parameters = self.quantities().filter(|(_, known)| matches!(known, Estimand::Parameter { .. }));
-        let parameters = parameters.map(|(k, _)| k).filter(|&k| moves(k));
-        fixed.chain(parameters).filter(|&k| is_noticeable(k)).count()
+        let parameters = parameters.map(|(k, _)| k).filter(|&k| affects_mean(k));
+        fixed_means.chain(parameters).filter(|&k| is_noticeable(k)).count()
     }
 
     /// States with an estimated mean whose estimated variance is perfectly correlated with the variance of the value.
     fn tied(&self) -> BTreeSet<usize> {
         let covariances = &self.knowledge.covariance * &self.by_variance;
         let whole = self.by_variance.dot(&covariances);
-        let is_one = |k: usize| {
+        let is_tied = |k: usize| {
             covariances[k].powi(2) > (1.0 - PERFECT_CORRELATION_GAP) * whole * self.knowledge.covariance[(k, k)]
         };
         let has_mean = |state: usize| self.means().any(|(_, i)| i == state);
-        self.variances().filter(|&(k, i)| whole > 0.0 && is_one(k) && has_mean(i)).map(|(_, i)| i).collect()
+        self.variances().filter(|&(k, i)| whole > 0.0 && is_tied(k) && has_mean(i)).map(|(_, i)| i).collect()
     }
 
     /// Rank of the correlation matrix of `states`: the number of directions in which the states vary independently.

@@ -194,10 +194,10 @@ impl Initial {
     ) -> Initial {
         let p = model.dimension();
         let block = |level: usize| population.covariance.view((level * p, level * p), (p, p));
-        let between = (1..=model.levels.len()).fold(DMatrix::zeros(p, p), |sum, level| sum + block(level));
-        let inverse = kalfit_algebra::symmetric::pseudo_inverse(&between);
+        let group_covariance = (1..=model.levels.len()).fold(DMatrix::zeros(p, p), |sum, level| sum + block(level));
+        let inverse = kalfit_algebra::symmetric::pseudo_inverse(&group_covariance);
         // in directions in which groups do not differ, m is μ
-        let invariant = DMatrix::identity(p, p) - &between * &inverse;
+        let invariant = DMatrix::identity(p, p) - &group_covariance * &inverse;
         let shrinkage = Some(covariance * inverse + invariant);
         let by_mean = follows.as_ref().map(|follows| follows.columns(0, p).into_owned());
         Initial {
@@ -251,7 +251,7 @@ impl Predictor {
         initial: &[&Initial],
     ) -> Result<Vec<Vec<PhasePredictions>>, PredictError> {
         let found: Vec<Result<Vec<PhasePredictions>, PredictError>> =
-            designs.par_iter().zip(initial).map(|(design, initial)| self.one(design, initial)).collect();
+            designs.par_iter().zip(initial).map(|(design, initial)| self.predict_design(design, initial)).collect();
         found.into_iter().collect()
     }
 
@@ -275,16 +275,16 @@ impl Predictor {
         Ok(all)
     }
 
-    fn one(&self, design: &PhasedTest, initial: &Initial) -> Result<Vec<PhasePredictions>, PredictError> {
+    fn predict_design(&self, design: &PhasedTest, initial: &Initial) -> Result<Vec<PhasePredictions>, PredictError> {
         for (evidence, phase) in design.phases.iter().zip(&self.model.phases) {
             if !matches!(evidence, Evidence::Rows(_)) {
                 return Err(PredictError::NoRows { test: design.id.to_string(), phase: phase.name.clone() });
             }
         }
         let mut propagators = self.propagators.iter();
-        let at = |propagator: &Propagator| propagator.trajectory(&self.model, design, (initial, &self.coefficients));
-        let central = propagators.next().map(at).expect("the model itself is the first propagator")?;
-        let sides = propagators.map(at).collect::<Result<Vec<Trajectory>, _>>()?;
+        let trajectory_of = |propagator: &Propagator| propagator.trajectory(&self.model, design, (initial, &self.coefficients));
+        let central = propagators.next().map(trajectory_of).expect("the model itself is the first propagator")?;
+        let sides = propagators.map(trajectory_of).collect::<Result<Vec<Trajectory>, _>>()?;
         let known = self.knowledge.as_ref().map(|knowledge| (knowledge, &self.steps));
         central.check(&design.id, initial)?;
         Ok(central.predictions(&sides, initial, known))

@@ -65,13 +65,13 @@ fn radius(content: f64, mean: [f64; 2], axes: [f64; 2]) -> f64 {
     }
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if within(middle, mean, axes) < content { low = middle } else { high = middle }
+        if probability_within(middle, mean, axes) < content { low = middle } else { high = middle }
     }
     0.5 * (low + high)
 }
 
 /// P(x² + y² ≤ R²) for independent x and y, integrated over x = R sin t.
-fn within(radius: f64, mean: [f64; 2], axes: [f64; 2]) -> f64 {
+fn probability_within(radius: f64, mean: [f64; 2], axes: [f64; 2]) -> f64 {
     let law = Normal::standard();
     let cdf = |x: f64, axis: usize| match axes[axis] > 0.0 {
         true => law.cdf((x - mean[axis]) / axes[axis]),

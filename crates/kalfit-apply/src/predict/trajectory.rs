@@ -61,16 +61,16 @@ impl Propagator {
     ) -> Result<Trajectory, PredictError> {
         let mut work = self.reducer.workspace();
         let mut phases = Vec::with_capacity(design.phases.len());
-        let mut before: Option<(EnteringState, Terminal)> = None;
+        let mut previous_phase: Option<(EnteringState, Terminal)> = None;
         let (ranges, mut regression) = (model.ranges(), 0);
         for (at, evidence) in design.phases.iter().enumerate() {
             let Evidence::Rows(rows) = evidence else { break };
             let own = (ranges[at].clone(), regression);
             regression += model.phases[at].model.mean.regression.len();
             let (trajectory, end) =
-                self.phase((model, at), rows, (initial, coefficients, own), before.as_ref(), &mut work)?;
+                self.phase((model, at), rows, (initial, coefficients, own), previous_phase.as_ref(), &mut work)?;
             phases.push(trajectory);
-            before = end;
+            previous_phase = end;
         }
         Ok(Trajectory { phases })
     }
@@ -80,17 +80,17 @@ impl Propagator {
         (model, at): (&PhasedModel, usize),
         rows: &Test,
         (initial, coefficients, (elements, regression)): (&Initial, &[f64], (Range<usize>, usize)),
-        before: Option<&(EnteringState, Terminal)>,
+        previous_phase: Option<&(EnteringState, Terminal)>,
         work: &mut PhasedWork,
     ) -> Result<(PhaseTrajectory, Option<(EnteringState, Terminal)>), PredictError> {
         let phase = &self.reducer.phases()[at];
-        let (blank, read) = (with_output_column(rows, f64::NAN), with_output_column(rows, 0.0));
-        let inherited = before.map(|before| Ok::<_, PredictError>((before, phase.inherited(&blank, &mut work.cells)?)));
+        let (rows_without_outputs, rows_with_outputs) = (with_output_column(rows, f64::NAN), with_output_column(rows, 0.0));
+        let inherited = previous_phase.map(|previous_phase| Ok::<_, PredictError>((previous_phase, phase.inherited(&rows_without_outputs, &mut work.cells)?)));
         let inherited = inherited.transpose()?;
-        let record = EvaluatedPhase::new(phase, &read)?;
-        let forms = record.forms();
+        let evaluated_phase = EvaluatedPhase::new(phase, &rows_with_outputs)?;
+        let forms = evaluated_phase.forms();
         let structure = &model.phases[at].model.mean.regression;
-        let follow = |gains: &kalfit_filter::reduce::Gains, work: &mut kalfit_filter::reduce::Workspace| {
+        let propagate = |gains: &kalfit_filter::reduce::Gains, work: &mut kalfit_filter::reduce::Workspace| {
             let q = work.design.frame.p;
             let mut entering = EnteringState {
                 mean: DVector::zeros(q),
@@ -109,12 +109,12 @@ impl Propagator {
                 entering.add(last, terminal, inherited);
             }
             single_test_innovations(gains, work);
-            let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-            let run =
-                BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
+            let moments_at_zero = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
+            let backward_input =
+                BackwardInput::of((work, gains), (&moments_at_zero, None), AdjointsWanted { motion: true, equation: false });
             let mut steps = forms.into_iter();
             let mut trajectory = Vec::with_capacity(work.design.steps());
-            run.filtered_states(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
+            backward_input.filtered_states(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
                 if !measured && let Some((rows, time, forms)) = steps.next() {
                     let state = StepState::new(seen, &entering);
                     let values = forms.iter().map(|(subject, form)| state.value((*subject, rows.start), form));
@@ -125,7 +125,7 @@ impl Propagator {
             let end = gains.terminal(states, &work.pass.x);
             (PhaseTrajectory { phase: at, steps: trajectory }, end.map(|end| (entering, end)))
         };
-        phase.reducer.with_gains(&blank, &mut work.phases[at], follow).map_err(|error| phase.named(error).into())
+        phase.reducer.with_gains(&rows_without_outputs, &mut work.phases[at], propagate).map_err(|error| phase.named(error).into())
     }
 }
 

@@ -110,17 +110,17 @@ impl<A: Algebra> ChainPhases<'_, A> {
     #[inline(always)]
     pub(super) fn evaluated(&self, prior: &Prior<'_, A::Number>, detail: ChainDetail) -> Option<ChainTerms<A::Number>> {
         let (mut root_det, mut is_accurate) = (RootDet::new(), true);
-        let (known, mut quadratic) = self.backward(prior, &mut root_det, &mut is_accurate);
+        let (later_information, mut quadratic) = self.backward(prior, &mut root_det, &mut is_accurate);
         let phases = self.phases.len();
         let (mut r, mut within) = (Vec::with_capacity(phases), Vec::with_capacity(phases));
         let (mut N, mut transitions, mut covariances) = (Vec::new(), Vec::new(), Vec::new());
         let mut rest: Option<[A::Matrix; 2]> = None;
         let (mut B, mut m) = (prior.root::<A>(&self.phases[0]), prior.mean::<A>(&self.phases[0]));
-        for (i, (phase, known)) in self.phases.iter().zip(&known).enumerate() {
+        for (i, (phase, later_information)) in self.phases.iter().zip(&later_information).enumerate() {
             let (own, next) = (phase.own.len(), self.phases.get(i + 1));
-            let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &known.factor)], &mut is_accurate);
-            let u = A::solved_data(&upper, A::less(known.data.clone(), &A::apply(&known.factor, &m)));
-            let Y = A::solved(&upper, known.factor.clone());
+            let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &later_information.factor)], &mut is_accurate);
+            let u = A::solved_data(&upper, A::less(later_information.data.clone(), &A::apply(&later_information.factor, &m)));
+            let Y = A::solved(&upper, later_information.factor.clone());
             if i == 0 {
                 root_det.add::<A>(&upper);
                 quadratic = quadratic + A::squares(self.count, &u);
@@ -132,7 +132,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
                 N.push(information);
             }
             if detail == ChainDetail::Posterior {
-                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), known, &mut is_accurate));
+                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), later_information, &mut is_accurate));
             }
             let Some(next) = next else { continue };
             let link = next.link.as_ref().expect("later phases have links");
@@ -147,7 +147,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
             A::absorb_rows(&mut B, inherited);
             A::absorb_rows(&mut B, link.root.clone());
         }
-        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &transitions) } else { alone(within) };
+        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &transitions) } else { diagonal_blocks(within) };
         let link_root_det = match detail {
             ChainDetail::Posterior => self.link_root_det(&mut is_accurate).parts(),
             _ => RootDet::new().parts(),
@@ -181,11 +181,11 @@ impl<A: Algebra> ChainPhases<'_, A> {
                 let link = next.link.as_ref().expect("later phases have links");
                 let own = A::times_upper_transpose(&prior.root::<A>(next), &later.factor);
                 let noise = A::times_upper_transpose(&link.root, &later.factor);
-                let spread = A::identity_plus(&[&own, &noise], is_accurate);
-                root_det.add::<A>(&spread);
+                let innovation_root = A::identity_plus(&[&own, &noise], is_accurate);
+                root_det.add::<A>(&innovation_root);
                 let residual = A::less(later.data.clone(), &A::apply(&later.factor, &prior.mean::<A>(next)));
-                let whitened = A::solved(&spread, A::times(&later.factor, &link.sensitivity));
-                let left = A::absorb(&mut factor, &mut data, whitened, A::solved_data(&spread, residual));
+                let whitened = A::solved(&innovation_root, A::times(&later.factor, &link.sensitivity));
+                let left = A::absorb(&mut factor, &mut data, whitened, A::solved_data(&innovation_root, residual));
                 squared_residuals = squared_residuals + A::squares(self.count, &left);
             }
             all.push(PhaseInformation { factor, data });
@@ -222,7 +222,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
 }
 
 /// The blocks of W within phases, with `None` between phases.
-fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
+fn diagonal_blocks<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
     let mut blocks = Vec::with_capacity(within.len() * (within.len() + 1) / 2);
     for (k, own) in within.into_iter().enumerate() {
         blocks.extend((0..k).map(|_| None));
@@ -280,16 +280,16 @@ fn posterior_covariance<A: Algebra>(
     prior: &Prior<'_, A::Number>,
     phase: &PhaseView<A::Matrix, A::Data>,
     rest: Option<&[A::Matrix; 2]>,
-    known: &PhaseInformation<A>,
+    later_information: &PhaseInformation<A>,
     is_accurate: &mut bool,
 ) -> Rows<A::Number> {
     let p = phase.own.len();
     let whitened_factor = match rest {
-        None => known.factor.clone(),
+        None => later_information.factor.clone(),
         Some([inherited, noise]) => {
-            let inherited = A::times_upper_transpose(inherited, &known.factor);
-            let noise = A::times_upper_transpose(noise, &known.factor);
-            A::solved(&A::identity_plus(&[&inherited, &noise], is_accurate), known.factor.clone())
+            let inherited = A::times_upper_transpose(inherited, &later_information.factor);
+            let noise = A::times_upper_transpose(noise, &later_information.factor);
+            A::solved(&A::identity_plus(&[&inherited, &noise], is_accurate), later_information.factor.clone())
         }
     };
     let own = prior.root::<A>(phase);

@@ -76,8 +76,8 @@ impl ChainedClass {
     pub(crate) fn at(&self, mean: &[f64], root: &Root<'_>, detail: ChainDetail) -> ChainTerms {
         let prior = Prior { root, mean };
         let plain =
-            if self.needs_rotations { None } else { self.through::<CrossFactors<f64>>().evaluated(&prior, detail) };
-        plain.unwrap_or_else(|| self.through::<Rotations<f64>>().evaluated(&prior, detail).expect(ROTATIONS_SUCCEED))
+            if self.needs_rotations { None } else { self.phases_with::<CrossFactors<f64>>().evaluated(&prior, detail) };
+        plain.unwrap_or_else(|| self.phases_with::<Rotations<f64>>().evaluated(&prior, detail).expect(ROTATIONS_SUCCEED))
     }
 
     /// A class with the matrices of this class, but no tests: n = 0 and d = 0.
@@ -98,7 +98,7 @@ impl ChainedClass {
 
 impl<T: Real> ChainedClass<T> {
     #[inline(always)]
-    fn through<F: Factors<Number = T>>(&self) -> ChainPhases<'_, F> {
+    fn phases_with<F: Factors<Number = T>>(&self) -> ChainPhases<'_, F> {
         ChainPhases { phases: &self.phases, count: self.count }
     }
 }
@@ -114,14 +114,14 @@ fn scales(q: usize, own: &Range<usize>, frame: &Frame, scale: &mut Vec<f64>) {
     scale.resize(q, 1.0);
 }
 
-/// Sets `sigma` to σ of a phase at the centre of the frame without noise; `before` is σ of the phase before.
-fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64], sigma: &mut Vec<f64>) {
+/// Sets `sigma` to σ of a phase at the centre of the frame without noise; `previous_sigma` is σ of the phase before.
+fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, previous_sigma: &[f64], sigma: &mut Vec<f64>) {
     sigma.clear();
     sigma.extend_from_slice(&frame.centre[own.clone()]);
     sigma.resize(phase.data.len(), 0.0);
     if let Some(link) = &phase.link {
         for (i, s) in sigma.iter_mut().enumerate() {
-            *s += link.mean[i] + before.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
+            *s += link.mean[i] + previous_sigma.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
         }
     }
 }
@@ -133,11 +133,11 @@ fn factor_row_times(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
 
 /// d_i - R_i × (σ_i at the centre of the frame without noise), phase after phase.
 fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<f64> {
-    let (mut all, mut sigma, mut before) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut all, mut sigma, mut previous_sigma) = (Vec::new(), Vec::new(), Vec::new());
     for (phase, own) in chain.phases.iter().zip(ranges) {
-        centre(phase, own, frame, &before, &mut sigma);
+        centre(phase, own, frame, &previous_sigma, &mut sigma);
         all.extend((0..phase.data.len()).map(|i| phase.data[i] - factor_row_times(phase, i, &sigma)));
-        std::mem::swap(&mut sigma, &mut before);
+        std::mem::swap(&mut sigma, &mut previous_sigma);
     }
     all
 }
@@ -150,10 +150,10 @@ fn columns(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Rows {
     let mut mean = vec![0.0; size];
     all.iter().for_each(|test| mean.iter_mut().zip(test).for_each(|(m, d)| *m += d));
     mean.iter_mut().for_each(|m| *m /= n as f64);
-    let away = |j: usize, i: usize| all[j][i] - mean[i];
+    let deviation = |j: usize, i: usize| all[j][i] - mean[i];
     let scatter = match n {
-        n if n <= size => Rows::from_fn(n, size, away),
-        n => compressed::<CrossFactors<f64>>(Rows::from_fn(n, size, away)),
+        n if n <= size => Rows::from_fn(n, size, deviation),
+        n => compressed::<CrossFactors<f64>>(Rows::from_fn(n, size, deviation)),
     };
     let m = scatter.nrows();
     Rows::from_fn(size, 1 + m, |i, k| if k == 0 { mean[i] } else { scatter[(k - 1, i)] })
@@ -234,7 +234,7 @@ mod tests {
             let prior = Prior { root: &Root::of(&root), mean: &mean };
             let flops = Counted::count(|| {
                 chained
-                    .through::<CrossFactors<Counted>>()
+                    .phases_with::<CrossFactors<Counted>>()
                     .evaluated(&prior, ChainDetail::Phases)
                     .expect("of common size");
             });

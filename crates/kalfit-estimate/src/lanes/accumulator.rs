@@ -172,8 +172,8 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
             return;
         };
         for lane in 0..T::COUNT {
-            let of_one = mantissa.lane(lane).ln() + exponent.lane(lane) * std::f64::consts::LN_2;
-            self.log_det += count.lane(lane) * of_one;
+            let log_det_per_test = mantissa.lane(lane).ln() + exponent.lane(lane) * std::f64::consts::LN_2;
+            self.log_det += count.lane(lane) * log_det_per_test;
         }
     }
 

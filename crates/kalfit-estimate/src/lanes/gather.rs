@@ -31,8 +31,8 @@ impl<T: Lanes> ProductSums<T> {
     /// Sums that are zero; unless `wanted`, sums without rows, which cost nothing.
     pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> ProductSums<T> {
         let rows = if wanted { rows } else { 0 };
-        let room = |size: usize| vec![T::splat(0.0); size * if wanted { BUFFERED_BLOCKS } else { 0 }];
-        ProductSums { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
+        let zero_buffer = |size: usize| vec![T::splat(0.0); size * if wanted { BUFFERED_BLOCKS } else { 0 }];
+        ProductSums { rows, columns, left: zero_buffer(rows), right: zero_buffer(columns), filled: 0, sum: vec![0.0; rows * columns] }
     }
 
     /// Buffers for the next a and b; the caller writes every number of both.
@@ -111,8 +111,8 @@ impl<T: Lanes> Part for RowSums<'_, T> {
 
 /// Adds to M rows of the sums from `row` on; returns M.
 #[inline(always)]
-fn add_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
-    let RowSums { left, rows, blocks, right, columns, ref mut sum } = *all;
+fn add_rows<T: Lanes, const M: usize>(row_sums: &mut RowSums<'_, T>, row: usize) -> usize {
+    let RowSums { left, rows, blocks, right, columns, ref mut sum } = *row_sums;
     let sum = &mut sum[row * columns..][..M * columns];
     by_column_blocks(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });
     M

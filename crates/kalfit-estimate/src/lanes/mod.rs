@@ -69,11 +69,11 @@ impl ClassBatches {
         let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
         let mut constants = vec![0.0; count];
         let blocks = numbers.par_chunks_mut(size.max(1)).zip(constants.par_chunks_mut(lanes)).enumerate();
-        blocks.with_min_len(MIN_FILLED_BLOCKS).for_each_init(Class::default, |room, (at, (block, constants))| {
+        blocks.with_min_len(MIN_FILLED_BLOCKS).for_each_init(Class::default, |class_buffer, (at, (block, constants))| {
             for (lane, constant) in constants.iter_mut().enumerate() {
-                class(at * lanes + lane, room);
-                layout.put(room.view(), (block, lane, lanes));
-                *constant = room.constant;
+                class(at * lanes + lane, class_buffer);
+                layout.put(class_buffer.view(), (block, lane, lanes));
+                *constant = class_buffer.constant;
             }
         });
         let constant = constants.iter().sum();
@@ -114,11 +114,11 @@ impl ClassBatches {
         let size = layout.size() * isa.lanes();
         let min_blocks = min_blocks(layout.p);
         let blocks = self.numbers.len() / size;
-        let each = (blocks / MIN_TASKS)
+        let blocks_per_task = (blocks / MIN_TASKS)
             .clamp(min_blocks, MAX_BLOCKS_FACTOR * min_blocks)
             .max(blocks.div_ceil(max_tasks(layout.p)));
         let pass = |blocks: &[f64]| isa.run(whole::BlockPass { blocks, layout, unit: self.unit, point, root, wanted });
-        self.numbers.par_chunks(each * size).map(pass).collect()
+        self.numbers.par_chunks(blocks_per_task * size).map(pass).collect()
     }
 }
 

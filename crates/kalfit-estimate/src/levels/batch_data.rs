@@ -23,8 +23,8 @@ pub(super) struct BatchData<'a, T> {
 }
 
 impl<'a> BatchData<'a, f64> {
-    /// The units `some` of one design, one unit in each column.
-    pub(super) fn equal_designs(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
+    /// The units `selected_units` of one design, one unit in each column.
+    pub(super) fn equal_designs(units: &Units, design: &'a UnitDesign, selected_units: Range<usize>) -> BatchData<'a, f64> {
         let mut leaves: Vec<Leaf> = Vec::new();
         let mut last = None;
         let tests = design.tests.iter().map(|member| {
@@ -35,8 +35,8 @@ impl<'a> BatchData<'a, f64> {
             }
             UnitTest { leaf: leaves.len() - 1, group: member.group }
         });
-        let columns = some.len();
-        let of = |data: &Rows| Rows::from_fn(data.nrows(), columns, |i, at| data[(i, some.start + at)]);
+        let columns = selected_units.len();
+        let of = |data: &Rows| Rows::from_fn(data.nrows(), columns, |i, at| data[(i, selected_units.start + at)]);
         let tests = tests.collect();
         BatchData { groups: &design.groups, tests, leaves, data: design.data.iter().map(of).collect(), columns }
     }
@@ -60,19 +60,19 @@ impl<'a, T: Lanes> BatchData<'a, T> {
         let p = units.states;
         let (mut tests, mut leaves, mut data) = (Vec::new(), Vec::new(), Vec::new());
         for (test, &group) in batch.tests.iter().enumerate() {
-            let mut found = [None; MOST];
-            for (lane, found) in batch.lanes.iter().zip(&mut found) {
+            let mut lane_tests = [None; MOST];
+            for (lane, lane_tests) in batch.lanes.iter().zip(&mut lane_tests) {
                 if let Some(number) = lane.tests[test] {
                     let design = &units.designs[lane.design];
-                    *found = Some((&units.leaves[design.tests[number].leaf], &design.data[number], lane.unit));
+                    *lane_tests = Some((&units.leaves[design.tests[number].leaf], &design.data[number], lane.unit));
                 }
             }
             tests.push(UnitTest { leaf: test, group });
-            leaves.push(leaf_in_lanes(&found, p));
+            leaves.push(leaf_in_lanes(&lane_tests, p));
             let mut own = Rows::zeros(p, 1);
             for i in 0..p {
                 own[(i, 0)] = in_lanes(
-                    &found,
+                    &lane_tests,
                     #[inline(always)]
                     |&(_, data, unit)| data[(i, unit)],
                 );
@@ -87,13 +87,13 @@ impl<'a, T: Lanes> BatchData<'a, T> {
 type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
 
 #[inline(always)]
-fn leaf_in_lanes<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
-    let regressors = found.iter().flatten().next().map_or(0, |(leaf, ..)| leaf.covariates.len());
+fn leaf_in_lanes<T: Lanes>(lane_tests: &TestLanes<'_>, p: usize) -> Leaf<T> {
+    let regressors = lane_tests.iter().flatten().next().map_or(0, |(leaf, ..)| leaf.covariates.len());
     let mut leaf = Leaf { factor: Rows::zeros(p, p), covariates: Vec::with_capacity(regressors) };
     for i in 0..p {
         for k in i..p {
             leaf.factor[(i, k)] = in_lanes(
-                found,
+                lane_tests,
                 #[inline(always)]
                 |(leaf, ..)| leaf.factor[(i, k)],
             );
@@ -101,7 +101,7 @@ fn leaf_in_lanes<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
     }
     for c in 0..regressors {
         leaf.covariates.push(in_lanes(
-            found,
+            lane_tests,
             #[inline(always)]
             |(leaf, ..)| leaf.covariates[c],
         ));
@@ -111,9 +111,9 @@ fn leaf_in_lanes<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
 
 /// One number of the test in each lane, zero where there is no test.
 #[inline(always)]
-fn in_lanes<T: Lanes>(found: &TestLanes<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
+fn in_lanes<T: Lanes>(lane_tests: &TestLanes<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
     let mut all = [0.0; MOST];
-    for (to, test) in all.iter_mut().zip(found) {
+    for (to, test) in all.iter_mut().zip(lane_tests) {
         if let Some(test) = test {
             *to = number(test);
         }

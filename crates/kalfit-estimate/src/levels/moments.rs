@@ -36,7 +36,7 @@ impl Units {
 /// Variances of one state at all levels, from the outermost on, by differences of the equations of neighbouring levels.
 fn variances_of_state(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
     // e_k = Σ_l v_l N_min(k,l), so e_k - e_(k-1) = (N_k - N_(k-1)) Σ_(l≥k) v_l
-    let mut above = 0.0;
+    let mut outer_variance = 0.0;
     let mut found: Vec<Option<f64>> = (0..excess.len())
         .rev()
         .map(|k| {
@@ -44,9 +44,9 @@ fn variances_of_state(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
                 0 => (excess[0], squares[0]),
                 _ => (excess[k] - excess[k - 1], squares[k] - squares[k - 1]),
             };
-            let total = (n > 0.0).then(|| (e / n).max(above))?;
-            let own = total - above;
-            above = total;
+            let total = (n > 0.0).then(|| (e / n).max(outer_variance))?;
+            let own = total - outer_variance;
+            outer_variance = total;
             Some(own)
         })
         .collect();
@@ -55,20 +55,20 @@ fn variances_of_state(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
 }
 
 impl UnitDesign {
-    /// Calls `of` with the level, the state i, (y - Jμ)_i and J_ii of each test, and of the sum over each group.
-    fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), of: &mut dyn FnMut(usize, usize, f64, f64)) {
+    /// Calls `on_moments` with the level, the state i, (y - Jμ)_i and J_ii of each test, and of the sum over each group.
+    fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), on_moments: &mut dyn FnMut(usize, usize, f64, f64)) {
         let p = mean.len();
         for unit in 0..self.units.len() {
             let mut sums = vec![(vec![0.0; p], vec![0.0; p]); self.groups.len()];
             for (member, data) in self.tests.iter().zip(&self.data) {
                 let factor = &leaves[member.leaf].factor;
                 let dot = |row: usize, x: &dyn Fn(usize) -> f64| (row..p).map(|k| factor[(row, k)] * x(k)).sum::<f64>();
-                let left: Vec<f64> = (0..p).map(|row| scale * data[(row, unit)] - dot(row, &|k| mean[k])).collect();
+                let residual: Vec<f64> = (0..p).map(|row| scale * data[(row, unit)] - dot(row, &|k| mean[k])).collect();
                 let (y, information) = &mut sums[member.group];
                 for i in 0..p {
-                    let own: f64 = (0..=i).map(|row| factor[(row, i)] * left[row]).sum();
+                    let own: f64 = (0..=i).map(|row| factor[(row, i)] * residual[row]).sum();
                     let square: f64 = (0..=i).map(|row| factor[(row, i)].powi(2)).sum();
-                    of(0, i, own, square);
+                    on_moments(0, i, own, square);
                     y[i] += own;
                     information[i] += square;
                 }
@@ -76,7 +76,7 @@ impl UnitDesign {
             for (at, node) in self.groups.iter().enumerate() {
                 let (y, information) = std::mem::take(&mut sums[at]);
                 for i in 0..p {
-                    of(node.level, i, y[i], information[i]);
+                    on_moments(node.level, i, y[i], information[i]);
                     if node.parent != at {
                         sums[node.parent].0[i] += y[i];
                         sums[node.parent].1[i] += information[i];

@@ -49,8 +49,8 @@ pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of
     let selection = SumSelection::of(units, wanted, Order::First);
     for design in units.designs.iter() {
         for (number, unit) in design.units.iter().enumerate() {
-            let alone = std::iter::once((design, number..number + 1));
-            let totals = in_columns(units, (point, wanted), alone, selection);
+            let single_unit = std::iter::once((design, number..number + 1));
+            let totals = in_columns(units, (point, wanted), single_unit, selection);
             of(&unit.tests, &sums((units, 0.0), totals, wanted));
         }
     }
@@ -147,11 +147,11 @@ fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'
     let mut sums = wanted.zero_in_groups();
     let all = sums.mean_score.len();
     // index among (μ, coefficients) of coordinate m of (means of all levels, coefficients)
-    let own = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
+    let summed_index = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
     sums.value = constant + totals.value;
     sums.quadratic = totals.quadratic;
-    sums.mean_score.iter_mut().enumerate().for_each(|(m, to)| *to = totals.score[(own(m), 0)]);
-    sums.mean_information = DMatrix::from_fn(all, all, |m, n| totals.information[(own(m), own(n))]);
+    sums.mean_score.iter_mut().enumerate().for_each(|(m, to)| *to = totals.score[(summed_index(m), 0)]);
+    sums.mean_information = DMatrix::from_fn(all, all, |m, n| totals.information[(summed_index(m), summed_index(n))]);
     for (level, (outer, weight)) in totals.outer.iter().zip(&totals.weight).enumerate() {
         let at = (level * p, level * p);
         sums.outer.view_mut(at, (p, p)).copy_from(&matrix(outer));
@@ -159,7 +159,7 @@ fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'
     }
     sums.spread = matrix(&totals.spread);
     let cross = DMatrix::from_fn(if totals.cross.ncols() > 0 { all } else { 0 }, totals.cross.ncols(), |m, e| {
-        totals.cross[(own(m), e)]
+        totals.cross[(summed_index(m), e)]
     });
     let symmetric = |a: &Rows| {
         let a = matrix(a);

@@ -74,13 +74,13 @@ pub fn posteriors(
         }
     };
     let at = LevelLaws::new(units, point, regressors);
-    let above = UpperRoots::new(&at);
+    let upper_roots = UpperRoots::new(&at);
     let of_design = |design: &UnitDesign| -> Vec<MemberId> {
         let batch = BatchData::equal_designs(units, design, 0..design.units.len());
         let results = at.results(&batch, coordinates);
         let all = (design.units.as_slice(), &batch, &results);
         let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, all, t));
-        tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &above), all, (g, constants)))).collect()
+        tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &upper_roots), all, (g, constants)))).collect()
     };
     let found: Vec<Vec<MemberId>> = units.designs.par_iter().map(of_design).collect();
     let mut all = LevelPosteriors {
@@ -140,14 +140,14 @@ impl UpperRoots {
 }
 
 fn of_group(
-    (at, above): (&LevelLaws<'_>, &UpperRoots),
+    (at, upper_roots): (&LevelLaws<'_>, &UpperRoots),
     (units, batch, results): EqualUnits<'_>,
     (g, constants): (usize, &[f64]),
 ) -> Vec<MemberId> {
     let (node, mean, up) = (batch.groups[g], &results.means[g], &results.up[g]);
     let p = at.mean.len();
     let rank = up.rank();
-    let (squares, log_det) = up.without_unit(&above.0[node.level]);
+    let (squares, log_det) = up.without_unit(&upper_roots.0[node.level]);
     let within = results.within(batch, g);
     let members: Vec<usize> = (0..batch.tests.len()).filter(|&t| batch.is_within(batch.tests[t].group, g)).collect();
     // a unit step of an element of μ moves the prior mean of the group and lowers d - Rμ; a unit step of a coefficient

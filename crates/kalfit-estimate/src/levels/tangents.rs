@@ -118,14 +118,14 @@ impl SigmaElement {
             let (up, down) = (&results.up[own], &results.down[own]);
             let change = changes[own].as_ref();
             let moved = moved((&up.W, down), change, above);
-            let here = (node.level == self.level).then_some(self);
-            let mean = inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above);
+            let own_element = (node.level == self.level).then_some(self);
+            let mean = inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), own_element, above);
             means.push(mean);
             on_tangent(NodeTangent { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
         }
         for (number, (member, down)) in batch.tests.iter().zip(&results.tests).enumerate() {
-            let moving = &means[last - member.group];
-            self.test((&results.leaves[member.leaf].W, &results.known[number]), down, moving, scratch);
+            let mean_tangent = &means[last - member.group];
+            self.test((&results.leaves[member.leaf].W, &results.known[number]), down, mean_tangent, scratch);
             on_tangent(NodeTangent { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
         }
     }
@@ -137,14 +137,14 @@ impl SigmaElement {
         self,
         (W, known): (&Rows<T>, &Rows<T>),
         down: &Down<T>,
-        moving: &GroupMean<T>,
+        mean_tangent: &GroupMean<T>,
         scratch: &mut Scratch<T>,
     ) {
         let p = W.nrows();
         let Scratch { r, weight, shift, inner, half } = scratch;
         for i in 0..p {
-            shift.row_mut(i).copy_from_slice(moving.mean.row(i));
-            inner.row_mut(i).copy_from_slice(moving.covariance.row(i));
+            shift.row_mut(i).copy_from_slice(mean_tangent.mean.row(i));
+            inner.row_mut(i).copy_from_slice(mean_tangent.covariance.row(i));
         }
         if self.level == 0 {
             for (i, k) in self.places() {
@@ -264,9 +264,9 @@ fn moved<T: Lanes>(
         Some((dW, ds)) => (ds.clone(), dW.clone()),
         None => (Rows::zeros(p, down.r.ncols()), Rows::zeros(p, p)),
     };
-    if let Some((mean, moving)) = above {
-        r = r.less(&W.times(&moving.mean));
-        weight = weight.less(&W.times(&moving.covariance).times(W));
+    if let Some((mean, mean_tangent)) = above {
+        r = r.less(&W.times(&mean_tangent.mean));
+        weight = weight.less(&W.times(&mean_tangent.covariance).times(W));
         if let Some((dW, _)) = change {
             r = r.less(&dW.times(&mean.mean));
             weight = weight.less(&with_transpose(&dW.times(&mean.covariance).times(W)));
@@ -280,7 +280,7 @@ fn moved<T: Lanes>(
 fn inherited<T: Lanes>(
     (W, down, sigma): (&Rows<T>, &Down<T>, &Rows<T>),
     (change, moved): (Option<&TangentPair<T>>, &TangentPair<T>),
-    here: Option<SigmaElement>,
+    own_element: Option<SigmaElement>,
     above: Option<(&GroupMean<T>, &GroupMean<T>)>,
 ) -> GroupMean<T> {
     let p = W.nrows();
@@ -292,17 +292,17 @@ fn inherited<T: Lanes>(
         covariance = covariance.less(&known.times(sigma));
         rest_tangent = rest_tangent.less(&known);
     }
-    if let Some(along) = here {
+    if let Some(along) = own_element {
         mean = mean.plus(&along.times(&down.r));
         let known = along.times(W);
         covariance = covariance.plus(&along.matrix(p)).less(&with_transpose(&known.times(sigma)));
         rest_tangent = rest_tangent.less(&known);
     }
-    if let Some((law, moving)) = above {
+    if let Some((law, mean_tangent)) = above {
         let rest = Rows::identity(p).less(&sigma.times(W));
-        mean = mean.plus(&moving.mean);
+        mean = mean.plus(&mean_tangent.mean);
         covariance = covariance
-            .plus(&rest.times(&moving.covariance).times_transpose(&rest))
+            .plus(&rest.times(&mean_tangent.covariance).times_transpose(&rest))
             .plus(&with_transpose(&rest_tangent.times(&law.covariance).times_transpose(&rest)));
     }
     GroupMean { mean, covariance }

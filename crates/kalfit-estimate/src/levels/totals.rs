@@ -224,10 +224,10 @@ impl<T: Lanes> UnitSums<T> {
         for i in 0..p {
             for k in 0..=i {
                 let row = moved.level * pairs(p) + pair(i, k);
-                let places = T::splat(if i == k { -0.5 } else { -1.0 });
+                let score_factor = T::splat(if i == k { -0.5 } else { -1.0 });
                 let weight = count * moved.weight[(i, k)];
-                self.observed[(row, e)] = places.fma(along[(i, k)] - weight, self.observed[(row, e)]);
-                self.expected[(row, e)] = places.fma(weight, self.expected[(row, e)]);
+                self.observed[(row, e)] = score_factor.fma(along[(i, k)] - weight, self.observed[(row, e)]);
+                self.expected[(row, e)] = score_factor.fma(weight, self.expected[(row, e)]);
             }
         }
     }

@@ -56,10 +56,10 @@ impl Units {
             let ungrouped = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none());
             return Err(ungrouped.map_or(String::new(), |reduction| reduction.test.to_owned()));
         };
-        let mut of_design: HashMap<usize, usize> = HashMap::new();
+        let mut index_of_kind: HashMap<usize, usize> = HashMap::new();
         let mut trees_by_design: Vec<Vec<GroupTree>> = Vec::new();
         for tree in trees(reductions, &leaf_of, (grouping, &numbers)) {
-            let at = *of_design.entry(tree.kind).or_insert(trees_by_design.len());
+            let at = *index_of_kind.entry(tree.kind).or_insert(trees_by_design.len());
             if at == trees_by_design.len() {
                 trees_by_design.push(Vec::new());
             }

@@ -214,10 +214,10 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
             let left = Rows::solved_transposed(&solved.upper, own.upper.last_columns(width - p));
             let s = solved.half.transpose_times(&left);
             results.log_det = results.log_det + own.log_det;
-            results.quadratic = results.quadratic + total(&own.left[results.before..]);
+            results.quadratic = results.quadratic + sum_of(&own.left[results.before..]);
             if node.parent == at {
                 results.log_det = results.log_det + solved.log_det;
-                results.quadratic = results.quadratic + total(&squares(&left)[results.before..]);
+                results.quadratic = results.quadratic + sum_of(&squares(&left)[results.before..]);
             } else {
                 gathered[node.parent].take(&solved, &left);
             }
@@ -324,7 +324,7 @@ impl<T: Lanes> Gathered<T> {
 }
 
 #[inline(always)]
-fn total<T: Lanes>(of: &[T]) -> T {
+fn sum_of<T: Lanes>(of: &[T]) -> T {
     let mut sum = T::splat(0.0);
     for &x in of {
         sum = sum + x;

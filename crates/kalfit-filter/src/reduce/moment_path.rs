@@ -24,12 +24,12 @@ pub(crate) struct MomentPath {
 
 impl MomentPath {
     /// Largest number of equal steps without a path: the backward pass goes through so short a stretch step by step.
-    pub(crate) const FEW: usize = 4;
+    pub(crate) const MOST_WITHOUT_PATH: usize = 4;
 
     /// Number of moving states of a stretch that may have a path: equal steps of one scalar measurement, without known
     /// inputs. `None` for any other stretch.
     pub(crate) fn states(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
-        design.moving_in_equal_steps(stretch, MomentPath::FEW).filter(|&states| states <= MOST_MOVING)
+        design.moving_in_equal_steps(stretch, MomentPath::MOST_WITHOUT_PATH).filter(|&states| states <= MOST_MOVING)
     }
 
     /// An empty path of a stretch; `None` for a stretch that has no path.
@@ -74,6 +74,6 @@ impl MomentPath {
 
     /// The path of the stretch whose first row is `row`.
     pub(super) fn of(paths: &[MomentPath], row: usize) -> Option<&MomentPath> {
-        paths.binary_search_by_key(&row, |path| path.row).ok().map(|at| &paths[at])
+        paths.binary_search_by_key(&row, |path| path.row).ok().map(|index| &paths[index])
     }
 }

@@ -150,25 +150,25 @@ impl MotionPlan {
         if !self.fill_one(dynamics, values, dt, filled) {
             return Err(self.overflow(dynamics, filled));
         }
-        let fresh = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
-        let mut made = reusable.unwrap_or_else(fresh);
-        let transition = Arc::get_mut(&mut made).expect("nobody else has it");
+        let new_transition = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
+        let mut shared_transition = reusable.unwrap_or_else(new_transition);
+        let transition = Arc::get_mut(&mut shared_transition).expect("nobody else has it");
         transition.phi.clear();
         transition.phi.extend_from_slice(&filled.phi);
         transition.q.clear();
         transition.q.extend_from_slice(&filled.q);
         let kept = self.drives.iter().any(|drive| matches!(drive, InputSource::Flow(_)));
-        Ok(Moves { transition: made, flows: if kept { filled.flows.clone() } else { Vec::new() } })
+        Ok(Moves { transition: shared_transition, flows: if kept { filled.flows.clone() } else { Vec::new() } })
     }
 
     /// The fault of a step that is not finite: the first component whose flow overflows, else the transition as a
     /// whole.
     fn overflow(&self, dynamics: &Dynamics, filled: &Filled) -> Box<Fault> {
-        let is_bad = |&(component, &offset): &(&Component, &usize)| {
+        let is_not_finite = |&(component, &offset): &(&Component, &usize)| {
             let numbers = offset..offset + 3 * component.states.len().pow(2);
             filled.flows[numbers].iter().any(|x| !x.is_finite())
         };
-        let bad = dynamics.components.iter().zip(&self.offsets).find(is_bad);
+        let bad = dynamics.components.iter().zip(&self.offsets).find(is_not_finite);
         let subject = bad.map_or(Subject::Transition, |(component, _)| Subject::Derivative(component.states[0]));
         Fault::new(subject, ReduceErrorKind::NotFinite)
     }
@@ -188,11 +188,11 @@ fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
 
 /// Entry of the identity matrix at the row and column of each entry of φ.
 fn identity(pattern: &Pattern) -> Vec<f64> {
-    let own = |row: &TransitionRow| {
+    let identity_row = |row: &TransitionRow| {
         let terms = &pattern.columns[row.start as usize..row.end as usize];
         terms.iter().map(|&column| f64::from(u8::from(column == row.state))).collect::<Vec<f64>>()
     };
-    pattern.moved.iter().flat_map(own).collect()
+    pattern.moved.iter().flat_map(identity_row).collect()
 }
 
 /// Row of φ as (kernel index, source of the entry); `None` for a row of the identity.

@@ -238,9 +238,9 @@ impl Meters {
             self.meters.iter().zip(&is_taken).map(|(meter, &taken)| (meter.column, taken)).collect();
         let taken: Vec<(usize, f64)> =
             entries.iter().zip(&*out.constants).map(|(e, &d)| (self.meters[e.meter].column, d)).collect();
-        let mut many = 0;
-        while many < most {
-            let numbers = test.numbers(first + many);
+        let mut appended = 0;
+        while appended < most {
+            let numbers = test.numbers(first + appended);
             let continues = |&(column, taken): &(usize, bool)| match numbers[column] {
                 z if taken => z.is_finite(),
                 z => z.is_nan(),
@@ -250,10 +250,10 @@ impl Meters {
             }
             out.data.values.extend(taken.iter().map(|&(column, constant)| numbers[column] - constant));
             out.data.sizes.extend(taken.iter().map(|&(column, constant)| numbers[column].abs() + constant.abs()));
-            many += 1;
+            appended += 1;
         }
-        out.instances.repeat(many, 1);
-        many
+        out.instances.repeat(appended, 1);
+        appended
     }
 
     /// Noise covariances among the instances of a step.

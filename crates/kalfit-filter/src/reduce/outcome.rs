@@ -14,9 +14,9 @@ pub(crate) fn outcome(
     data: &Data,
     scratch: &mut DataWorkspace,
 ) -> Result<Outcome, Miss> {
-    let of = (design, gains);
+    let design_and_gains = (design, gains);
     let Some(rotations) = &gains.rotations else {
-        pass_alone(of, data, scratch);
+        pass_alone(design_and_gains, data, scratch);
         return Ok(scratch.outcome((0, 1), gains.active, gains.log_determinant));
     };
     let mut exact = None;
@@ -29,13 +29,13 @@ pub(crate) fn outcome(
             exact_sizes: Vec::new(),
             miss: None,
         };
-        innovations(of, data, scratch, &mut check);
+        innovations(design_and_gains, data, scratch, &mut check);
         check.miss.map_or(Ok(()), Err)?;
         exact = (!rotations.exact.is_empty())
             .then(|| rotations.exact.rows_from_innovations(&scratch.e, &check.exact_sizes))
             .transpose()?;
     } else {
-        innovations(of, data, scratch, &mut ());
+        innovations(design_and_gains, data, scratch, &mut ());
     }
     let (d, residual) = folded((design.frame.p, gains), rotations, &scratch.e);
     Ok(Outcome { exact: exact.map(Box::new), ..Outcome::new(d, residual, gains.active, gains.log_determinant) })
@@ -59,10 +59,10 @@ impl InnovationObserver for ConsistencyCheck<'_> {
     fn observe<T: Lanes>(&mut self, (row, line): (usize, usize), e: T, x: &[T]) {
         let (e, (states, h)) = (e.lane(0), self.design.terms(line));
         let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize].lane(0)).abs()).sum();
-        let (silent, size) = (self.gains.row(row).0 == 0.0, self.sizes[row] + terms);
-        if silent && self.exact.has(row) {
+        let (has_no_weight, size) = (self.gains.row(row).0 == 0.0, self.sizes[row] + terms);
+        if has_no_weight && self.exact.has(row) {
             self.exact_sizes.push(size);
-        } else if silent && e.abs() > EXACT_TOLERANCE * size && self.miss.is_none() {
+        } else if has_no_weight && e.abs() > EXACT_TOLERANCE * size && self.miss.is_none() {
             self.miss = Some(Miss { row, residual: e });
         }
     }

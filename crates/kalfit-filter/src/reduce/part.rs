@@ -66,14 +66,14 @@ pub(crate) struct ReducedPhase<'a> {
 }
 
 impl PhaseReducer {
-    /// The reducer of a phase. `make` creates the reducer in entering coordinates.
+    /// The reducer of a phase. `make_reducer` creates the reducer in entering coordinates.
     pub(crate) fn new(
         (phase, alpha): (&Phase, &Alpha),
         position: PhasePosition,
-        make: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
+        make_reducer: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
     ) -> Result<PhaseReducer, ReduceError> {
         let named = |error| of_phase(position.name.as_deref(), error);
-        let reducer = make(&phase.entry_model()).map_err(named)?;
+        let reducer = make_reducer(&phase.entry_model()).map_err(named)?;
         let reducer = if position.followed { reducer.with_ends() } else { reducer };
         let at = reducer.preparer().at();
         let inheritance = position.before.map(|before| Inheritance::new(phase, before, &at)).transpose();
@@ -202,42 +202,42 @@ impl PhaseReducer {
         let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {
             of_shape(found, expected).and_then(|()| finite(numbers)).map_err(|kind| refuse(what, kind))
         };
-        let row =
+        let check_numbers =
             |what: &str, numbers: &[f64], expected: usize| check(what, numbers, (numbers.len(), 1), (expected, 1));
-        let matrix = |what: &str, found: &DMatrix<f64>, rows: usize, columns: usize| {
+        let check_matrix = |what: &str, found: &DMatrix<f64>, rows: usize, columns: usize| {
             check(what, found.as_slice(), found.shape(), (rows, columns))
         };
-        row("constant of the reduction", &[reduction.constant], 1)?;
-        row("data of the reduction", &reduction.data, q)?;
-        row("factor of the reduction", &reduction.factor, q * (q + 1) / 2)?;
-        row("covariates of the reduction", &reduction.covariates, regressions)?;
+        check_numbers("constant of the reduction", &[reduction.constant], 1)?;
+        check_numbers("data of the reduction", &reduction.data, q)?;
+        check_numbers("factor of the reduction", &reduction.factor, q * (q + 1) / 2)?;
+        check_numbers("covariates of the reduction", &reduction.covariates, regressions)?;
         self.refuse_exact(id, reduction)?;
         if let Some(exact) = &reduction.exact {
             let rows = exact.values.len();
-            row("exact values of the reduction", &exact.values, rows)?;
-            row("exact rows of the reduction", &exact.coefficients, rows * q)?;
+            check_numbers("exact values of the reduction", &exact.values, rows)?;
+            check_numbers("exact rows of the reduction", &exact.coefficients, rows * q)?;
         }
         if let Some(value) = (0..q).map(|k| reduction.factor[k * (k + 3) / 2]).find(|diagonal| *diagonal < 0.0) {
             return Err(refuse("factor of the reduction", ReduceErrorKind::NegativeDiagonal { value }));
         }
         if let Some(terminal) = terminal {
-            row("mean of the last state", terminal.mean.as_slice(), n)?;
-            matrix("sensitivity of the last state", &terminal.sensitivity, n, q)?;
-            matrix("covariance root of the last state", &terminal.root, n, terminal.root.ncols())?;
+            check_numbers("mean of the last state", terminal.mean.as_slice(), n)?;
+            check_matrix("sensitivity of the last state", &terminal.sensitivity, n, q)?;
+            check_matrix("covariance root of the last state", &terminal.root, n, terminal.root.ncols())?;
         } else if linked {
             return Err(refuse(WHOLE, ReduceErrorKind::Absent { what: "last state" }));
         }
         match (inherited, before) {
             (Some(inherited), Some(before)) => {
-                matrix("transition from the phase before", &inherited.transition, q, before)?;
-                row("input from the phase before", inherited.input.as_slice(), q)?;
+                check_matrix("transition from the phase before", &inherited.transition, q, before)?;
+                check_numbers("input from the phase before", inherited.input.as_slice(), q)?;
             }
             (None, Some(_)) => {
                 let kind = ReduceErrorKind::Absent { what: "transition from the phase before" };
                 return Err(refuse(WHOLE, kind));
             }
             (Some(inherited), None) => {
-                matrix("transition from the phase before", &inherited.transition, 0, 0)?;
+                check_matrix("transition from the phase before", &inherited.transition, 0, 0)?;
             }
             (None, None) => {}
         }

@@ -50,23 +50,23 @@ pub struct PhasedWork {
 impl PhasedReducer {
     /// A reducer of a model at α. An error when some coefficient has no value, whatever the data are.
     pub fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
+        PhasedReducer::with_reducers(model, alpha, &|model| Reducer::new(model, alpha))
     }
 
     /// A reducer for scores: coefficients that depend on free values are retained even where such a coefficient is zero
     /// at this α. All design classes of all phases are cached, since the scores of linked phases need the classes
     /// again.
     pub fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots))
+        PhasedReducer::with_reducers(model, alpha, &|one| Reducer::scoring(one, alpha, slots))
     }
 
     /// A reducer that retains coefficients as [`PhasedReducer::scoring`] does, for values of ℓ that no backward pass
     /// follows.
     pub fn passing(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, alpha, &|model| Reducer::passing(model, alpha, slots))
+        PhasedReducer::with_reducers(model, alpha, &|model| Reducer::passing(model, alpha, slots))
     }
 
-    fn made(
+    fn with_reducers(
         model: &PhasedModel,
         alpha: &Alpha,
         reducer: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
@@ -148,7 +148,7 @@ impl PhasedReducer {
     /// # Errors
     /// As [`PhasedReducer::reduce`].
     pub fn pieces(&self, tests: &[PhasedTest]) -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
-        self.each(tests, &|test, work| self.pieces_of(test, work))
+        self.reduce_each(tests, &|test, work| self.pieces_of(test, work))
     }
 
     /// The reduction of each phase of one test, as from [`PhasedReducer::pieces`].
@@ -162,7 +162,7 @@ impl PhasedReducer {
     /// # Errors
     /// As [`PhasedReducer::reduce`].
     pub fn reduce_designs(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
-        let all = self.each(tests, &|test, work| {
+        let all = self.reduce_each(tests, &|test, work| {
             let mut reduction = self.whole(test, self.parts(test, Vec::new(), work, true))?;
             reduction.constant = 0.0;
             reduction.residual = None;
@@ -173,7 +173,7 @@ impl PhasedReducer {
         Ok(all.into())
     }
 
-    fn each<T: Send>(
+    fn reduce_each<T: Send>(
         &self,
         tests: &[PhasedTest],
         one: &(dyn Fn(&PhasedTest, &mut PhasedWork) -> Result<T, ReduceError> + Sync),

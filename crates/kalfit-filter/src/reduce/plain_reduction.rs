@@ -165,8 +165,8 @@ impl Plain {
             self.shaped(&name("measurement"), &step.measurement, (m, n))?;
             self.shaped(&name("constant"), &step.constant, (m, 1))?;
             let finite = step.noise.map(|x| if x == f64::INFINITY { 0.0 } else { x });
-            let off_diagonal = (0..finite.len()).any(|at| {
-                let (i, j) = (at / m.max(1), at % m.max(1));
+            let off_diagonal = (0..finite.len()).any(|place| {
+                let (i, j) = (place / m.max(1), place % m.max(1));
                 step.noise.shape() == (m, m) && i != j && step.noise[(i, j)].is_infinite()
             });
             if off_diagonal {
@@ -208,7 +208,7 @@ impl Plain {
 
     fn semidefinite(&self, what: &str, matrix: &DMatrix<f64>) -> Result<(), ReduceError> {
         self.symmetric(what, matrix)?;
-        let mut copy: Vec<f64> = matrix.transpose().as_slice().to_vec(); // row-major
-        ldl(&mut copy, matrix.nrows()).map_err(|bad| self.refuse(what, bad))
+        let mut factor_in_place: Vec<f64> = matrix.transpose().as_slice().to_vec(); // row-major
+        ldl(&mut factor_in_place, matrix.nrows()).map_err(|bad| self.refuse(what, bad))
     }
 }

@@ -141,17 +141,17 @@ impl Preparer {
     /// A preparer for derivatives: coefficients that depend on a free parameter are retained even where such a
     /// coefficient is zero at this α. `free`: whether each parameter is free.
     pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
-        Preparer::made(model, alpha, free, false)
+        Preparer::build(model, alpha, free, false)
     }
 
     /// A preparer of tests each of which brings a law of the estimated states, as part of a and P0.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
-        let mut preparer = Preparer::made(model, alpha, Vec::new(), true)?;
+        let mut preparer = Preparer::build(model, alpha, Vec::new(), true)?;
         preparer.order.frame = Arc::new(preparer.order.frame.without_unknowns());
         Ok(preparer)
     }
 
-    fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, has_per_test_law: bool) -> Result<Preparer, Box<Fault>> {
+    fn build(model: &Model, alpha: &Alpha, free: Vec<bool>, has_per_test_law: bool) -> Result<Preparer, Box<Fault>> {
         let at = ModelAt { model, alpha, free: &free };
         let dynamics = Dynamics::new(&at)?;
         let mut start = ModelStart::new(&at, &dynamics)?;
@@ -329,14 +329,14 @@ impl Preparer {
     fn repeat_values(&self, test: &Test, first: usize, most: usize, work: &mut Workspace) -> usize {
         let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
-        let many = self.meters.repeat_values(test, first, most, &mut observed);
-        work.design.repeat(many);
+        let appended = self.meters.repeat_values(test, first, most, &mut observed);
+        work.design.repeat(appended);
         let driven = self.order.frame.driven.len();
-        for _ in 0..many * usize::from(driven > 0) {
+        for _ in 0..appended * usize::from(driven > 0) {
             let last = work.data.inputs.len() - driven;
             work.data.inputs.extend_from_within(last..);
         }
-        many
+        appended
     }
 
     /// Whether the coefficients of a step are read from the row before the step instead of the rows of the step.
@@ -383,13 +383,13 @@ impl Preparer {
         }
         let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
-        let same = self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
-        if same {
+        let is_repeated = self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
+        if is_repeated {
             work.design.repeat(1);
         } else {
             work.data.inputs.truncate(inputs);
         }
-        Ok(same)
+        Ok(is_repeated)
     }
 
     /// Writes a and P0 of a test into the work space.

@@ -63,12 +63,12 @@ impl ReducedTests {
 
     /// The result of each test, by index of the test. `tests`: number of tests.
     pub(crate) fn by_number(self, tests: usize) -> Vec<ReducedWithEnd> {
-        let mut all: Vec<Option<ReducedWithEnd>> = (0..tests).map(|_| None).collect();
+        let mut results: Vec<Option<ReducedWithEnd>> = (0..tests).map(|_| None).collect();
         let mut terminals = self.terminals.into_iter();
         for (row, &number) in self.reductions.iter().zip(&self.numbers) {
-            all[number] = Some(Ok((row.into(), terminals.next())));
+            results[number] = Some(Ok((row.into(), terminals.next())));
         }
-        self.faults.into_iter().for_each(|(number, error)| all[number] = Some(Err(error)));
-        all.into_iter().map(|found| found.expect("every test was looked at")).collect()
+        self.faults.into_iter().for_each(|(number, error)| results[number] = Some(Err(error)));
+        results.into_iter().map(|found| found.expect("every test was looked at")).collect()
     }
 }

@@ -108,7 +108,7 @@ impl Reductions {
 
     /// The reductions of all tests, in order.
     pub fn iter(&self) -> Rows<'_> {
-        Rows { of: self, numbers: 0..self.len() }
+        Rows { source: self, numbers: 0..self.len() }
     }
 
     /// The reductions of all tests, as a parallel iterator.
@@ -145,13 +145,13 @@ impl Reductions {
             return;
         }
         self.stamp.take();
-        let (own, more) = (self.len(), others.len());
+        let (own, added) = (self.len(), others.len());
         self.chains.append(own, others.chains);
         self.exact.append(own, others.exact);
         self.ids.append(&others.ids);
-        self.data.append(own, &others.data, more);
-        self.factors.append(own, &others.factors, more);
-        self.covariates.append(own, &others.covariates, more);
+        self.data.append(own, &others.data, added);
+        self.factors.append(own, &others.factors, added);
+        self.covariates.append(own, &others.covariates, added);
         self.constants.append(&mut others.constants);
         self.residuals.append(&mut others.residuals);
         self.steps.append(&mut others.steps);
@@ -174,14 +174,14 @@ impl Reductions {
         if self.is_empty() {
             *self = others.next().unwrap_or_default();
         }
-        let more = tests - self.len();
+        let added = tests - self.len();
         self.ids.reserve(others.as_slice().iter().map(|part| &part.ids));
-        [&mut self.steps, &mut self.observations].into_iter().for_each(|x| x.reserve_exact(more));
-        [&mut self.data, &mut self.factors, &mut self.covariates].into_iter().for_each(|x| x.reserve(more));
-        self.constants.reserve_exact(more);
-        self.residuals.reserve_exact(more);
-        self.paths.reserve_exact(more);
-        self.designs.reserve_exact(more);
+        [&mut self.steps, &mut self.observations].into_iter().for_each(|x| x.reserve_exact(added));
+        [&mut self.data, &mut self.factors, &mut self.covariates].into_iter().for_each(|x| x.reserve(added));
+        self.constants.reserve_exact(added);
+        self.residuals.reserve_exact(added);
+        self.paths.reserve_exact(added);
+        self.designs.reserve_exact(added);
         others.for_each(|part| self.append(part));
     }
 
@@ -314,7 +314,7 @@ impl Reductions {
 /// Iterator over the reductions of [`Reductions`].
 #[derive(Debug, Clone)]
 pub struct Rows<'a> {
-    of: &'a Reductions,
+    source: &'a Reductions,
     numbers: Range<usize>,
 }
 
@@ -322,7 +322,7 @@ impl<'a> Iterator for Rows<'a> {
     type Item = ReductionRef<'a>;
 
     fn next(&mut self) -> Option<ReductionRef<'a>> {
-        self.numbers.next().map(|number| self.of.get(number))
+        self.numbers.next().map(|number| self.source.get(number))
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
@@ -332,7 +332,7 @@ impl<'a> Iterator for Rows<'a> {
 
 impl DoubleEndedIterator for Rows<'_> {
     fn next_back(&mut self) -> Option<Self::Item> {
-        self.numbers.next_back().map(|number| self.of.get(number))
+        self.numbers.next_back().map(|number| self.source.get(number))
     }
 }
 

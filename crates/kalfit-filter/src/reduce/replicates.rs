@@ -93,11 +93,11 @@ impl Replicates {
         self.regrouped(|_| true, is_kept)
     }
 
-    fn regrouped(self, has: impl Fn(usize) -> bool, is_kept: impl Fn(&[usize]) -> bool) -> Replicates {
+    fn regrouped(self, is_member: impl Fn(usize) -> bool, is_kept: impl Fn(&[usize]) -> bool) -> Replicates {
         let mut found = Replicates { sets: Vec::new(), alone: self.alone };
-        found.alone.retain(|&number| has(number));
+        found.alone.retain(|&number| is_member(number));
         for mut set in self.sets {
-            set.retain(|&number| has(number));
+            set.retain(|&number| is_member(number));
             if is_kept(&set) {
                 found.sets.push(set);
             } else {
@@ -112,11 +112,11 @@ impl Replicates {
     /// The parts of all sets in ranges of successive tests, one list for each range. A range has far more tests than
     /// there are sets.
     pub(crate) fn lists(&self) -> Vec<Vec<&[usize]>> {
-        let long = LEAST_LIST_TESTS.max(LEAST_TESTS_PER_SET * self.sets.len());
+        let range_len = LEAST_LIST_TESTS.max(LEAST_TESTS_PER_SET * self.sets.len());
         let last = self.sets.iter().filter_map(|set| set.last()).max();
-        let mut lists = vec![Vec::new(); last.map_or(0, |last| last / long + 1)];
-        for part in self.sets.iter().flat_map(|set| set.chunk_by(|a, b| a / long == b / long)) {
-            lists[part[0] / long].push(part);
+        let mut lists = vec![Vec::new(); last.map_or(0, |last| last / range_len + 1)];
+        for part in self.sets.iter().flat_map(|set| set.chunk_by(|a, b| a / range_len == b / range_len)) {
+            lists[part[0] / range_len].push(part);
         }
         lists
     }
@@ -126,10 +126,10 @@ impl Replicates {
 /// often adjacent.
 fn neighbours(mask: &CellMask, tests: &[&Test]) -> Vec<usize> {
     let mut firsts: Vec<usize> = (0..tests.len()).collect();
-    firsts.par_chunks_mut(TESTS_PER_TASK).for_each(|some| {
-        for k in 1..some.len() {
-            if mask.agrees_on(tests[some[k]], tests[some[k - 1]]) {
-                some[k] = some[k - 1];
+    firsts.par_chunks_mut(TESTS_PER_TASK).for_each(|chunk| {
+        for k in 1..chunk.len() {
+            if mask.agrees_on(tests[chunk[k]], tests[chunk[k - 1]]) {
+                chunk[k] = chunk[k - 1];
             }
         }
     });

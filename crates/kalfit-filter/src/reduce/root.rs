@@ -159,15 +159,15 @@ impl<'a> RootFilter<'a> {
         kernel::sensitivity(self.frame, (states, h), &self.Psi, T);
         let reach = states.partition_point(|&state| (state as usize) < r);
         let (inner, h_inner) = (&states[..reach], &h[..reach]);
-        let spread = |u: &[f64]| inner.iter().zip(h_inner).map(|(&state, h)| h * u[state as usize]).sum::<f64>();
-        let w: Vec<f64> = self.U.chunks_exact(r.max(1)).map(spread).collect();
+        let times_h = |u: &[f64]| inner.iter().zip(h_inner).map(|(&state, h)| h * u[state as usize]).sum::<f64>();
+        let w: Vec<f64> = self.U.chunks_exact(r.max(1)).map(times_h).collect();
         if noise == 0.0 {
-            let unmeasured: f64 = inner
+            let unmeasured_deviation: f64 = inner
                 .iter()
                 .zip(h_inner)
                 .map(|(&i, h)| h.abs() * self.unmeasured_P[i as usize * (r + 1)].max(0.0).sqrt())
                 .sum();
-            if w.iter().fold(0.0, |sum: f64, &w| sum.hypot(w)) <= KNOWN_FRACTION * unmeasured {
+            if w.iter().fold(0.0, |sum: f64, &w| sum.hypot(w)) <= KNOWN_FRACTION * unmeasured_deviation {
                 let terms = self.terms(states, h);
                 let sensitive = T.iter().zip(&terms).any(|(T, terms)| T.abs() > INSENSITIVE * terms);
                 if sensitive && rotations.exact.take(row, T, terms) {

@@ -91,20 +91,20 @@ impl<T: Lanes, const N: usize> Part for ScanKernel<'_, T, N> {
         let (first, r, count) = (stretch.rows.start, design.frame.r, stretch.count);
         let moving = piece.steps_to_steady_gains(first).min(count);
         let block = marks.as_ref().map_or(count, |(_, block)| *block).max(1);
-        for from in (0..count).step_by(block) {
+        for block_start in (0..count).step_by(block) {
             if let Some((marks, _)) = &mut marks {
                 marks.extend_from_slice(&x);
             }
-            let to = count.min(from + block);
-            let still = moving.clamp(from, to);
-            for k in from..still {
+            let block_end = count.min(block_start + block);
+            let still = moving.clamp(block_start, block_end);
+            for k in block_start..still {
                 K[..r].copy_from_slice(&gains.weighted(piece, first + k)[1..]);
                 let e = &mut e[k * T::COUNT..][..T::COUNT];
                 step.take(&mut x, &K, T::load(e)).store(e);
             }
-            if still < to {
+            if still < block_end {
                 K[..r].copy_from_slice(&gains.weighted(piece, first + still)[1..]);
-                for e in e[still * T::COUNT..to * T::COUNT].chunks_exact_mut(T::COUNT) {
+                for e in e[still * T::COUNT..block_end * T::COUNT].chunks_exact_mut(T::COUNT) {
                     step.take(&mut x, &K, T::load(e)).store(e);
                 }
             }

@@ -75,12 +75,12 @@ impl SteadyStateMonitor {
             return frozen;
         }
         let slack = ((step - self.last) as f64 * CHANGE_PER_STEP).clamp(LEAST_CHANGE, MOST_CHANGE);
-        let first = self.last == 0;
+        let is_first_look = self.last == 0;
         for (peak, x) in self.peaks.iter_mut().zip(Psi) {
             *peak = peak.max(x.abs());
         }
         let frozen = match frozen {
-            _ if first => frozen,
+            _ if is_first_look => frozen,
             SteadyState::Nothing if !self.variance_rests(P, r, slack) => SteadyState::Nothing,
             _ if self.sensitivity_rests(Psi, slack) => SteadyState::All,
             _ => SteadyState::Gains,

@@ -154,16 +154,16 @@ impl ModelAt<'_> {
 
     /// The first free parameter that an expression mentions.
     pub(crate) fn free_parameter(&self, expression: &Expression) -> Option<usize> {
-        let mut found = None;
+        let mut free_index = None;
         expression.any(&mut |part| {
             if let Expression::Parameter(index) = part
                 && self.free.get(*index).copied().unwrap_or(false)
             {
-                found = Some(*index);
+                free_index = Some(*index);
             }
-            found.is_some()
+            free_index.is_some()
         });
-        found
+        free_index
     }
 
     /// As [`ModelAt::coefficient`], for the expression of a variance, which must not be negative.

@@ -50,10 +50,10 @@ impl<R: Lanes> InformationSums<R> {
     pub(crate) fn lanes(&self, all: &mut Vec<f64>) {
         all.clear();
         all.resize((self.J.len() + 4) * R::COUNT, 0.0);
-        let last = [self.mantissa, self.exponent, self.margin, self.least];
-        for (k, to) in all.chunks_exact_mut(R::COUNT).enumerate() {
-            let x = if k < self.J.len() { self.J[k] } else { last[k - self.J.len()] };
-            x.store(to);
+        let scalars = [self.mantissa, self.exponent, self.margin, self.least];
+        for (k, entry) in all.chunks_exact_mut(R::COUNT).enumerate() {
+            let x = if k < self.J.len() { self.J[k] } else { scalars[k - self.J.len()] };
+            x.store(entry);
         }
     }
 }

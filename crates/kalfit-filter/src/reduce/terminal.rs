@@ -40,15 +40,15 @@ impl TerminalRoot {
     /// The root from U, without rows of zeros of U.
     fn of_root(states: &[usize], Psi: &[f64], r: usize, U: impl Fn(usize, usize) -> f64) -> TerminalRoot {
         let (n, p) = (states.len(), Psi.len() / states.len().max(1));
-        let is_kept = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
-        let kept = || (0..r).filter(is_kept).enumerate();
-        let mut end = TerminalRoot { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, kept().count()) };
+        let is_nonzero = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
+        let nonzero_rows = || (0..r).filter(is_nonzero).enumerate();
+        let mut end = TerminalRoot { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, nonzero_rows().count()) };
         for (place, &state) in states.iter().enumerate() {
             for c in 0..p {
                 end.sensitivity[(state, c)] = Psi[place * p + c];
             }
         }
-        for (c, row) in kept() {
+        for (c, row) in nonzero_rows() {
             states.iter().take(r).enumerate().for_each(|(place, &state)| end.root[(state, c)] = U(row, place));
         }
         end

@@ -18,13 +18,13 @@ pub struct Complete {
     /// Whether each scalar measurement had noise.
     pub(crate) noisy: Vec<bool>,
     /// The transition to each step; `None` where the step has no transition.
-    pub(crate) moves: Vec<Option<Move>>,
+    pub(crate) transitions: Vec<Option<SmoothedTransition>>,
     pub(crate) start: InitialMoments,
 }
 
 /// A transition at the α of the moments, and the moments of the noise of the transition.
 #[derive(Debug, Clone)]
-pub(crate) struct Move {
+pub(crate) struct SmoothedTransition {
     pub(crate) transition: Arc<Transition>,
     /// b of the driven states.
     pub(crate) input: Vec<f64>,
@@ -46,7 +46,7 @@ pub(crate) struct InitialMoments {
 
 impl InitialMoments {
     /// E[ζ] = P0 r and E[ζζ'] = P0 + 2 P0 G P0, with r = ∂ℓ/∂a and G = ∂ℓ/∂P0.
-    fn take(&mut self, adjoint: &[f64], bar: &[f64]) {
+    fn set_noise_moments(&mut self, adjoint: &[f64], bar: &[f64]) {
         let r = self.variance.len().isqrt();
         let entry = |i: usize, j: usize| self.variance[i * r + j];
         self.mean = (0..r).map(|i| (0..r).map(|j| entry(i, j) * adjoint[j]).sum()).collect();
@@ -67,19 +67,19 @@ impl Complete {
         let (design, data) = (&work.design, &work.data);
         let (r, driven) = (design.frame.r, design.frame.driven.len());
         let mut at = 0;
-        let mut moves = Vec::with_capacity(design.steps());
+        let mut transitions = Vec::with_capacity(design.steps());
         for (step, noise) in design.each_step().zip(moments.noises) {
-            moves.push(step.transition.zip(noise).map(|(transition, noise)| {
+            transitions.push(step.transition.zip(noise).map(|(transition, noise)| {
                 let input = data.inputs[at..at + driven].to_vec();
                 at += driven;
-                Move { transition: transition.clone(), input, noise }
+                SmoothedTransition { transition: transition.clone(), input, noise }
             }));
         }
         let variance = (0..r * r).map(|ij| design.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]).collect();
         let mut start = InitialMoments { known: data.start.clone(), variance, ..InitialMoments::default() };
-        start.take(&moments.mean, &moments.variance);
+        start.set_noise_moments(&moments.mean, &moments.variance);
         let noisy = design.each_step().flat_map(|step| step.lines).map(|line| design.noise[line] > 0.0).collect();
-        Complete { noisy, states: moments.states, moves, start }
+        Complete { noisy, states: moments.states, transitions, start }
     }
 }
 

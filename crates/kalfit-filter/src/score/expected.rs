@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::reduce::{Design, DesignStep, Fault, ReduceError, StateFrame, Transition, Workspace};
 use crate::score::Scorer;
 use crate::score::backward::{MeasurementAdjoint, Smoothed, TransitionAdjoint};
-use crate::score::complete::{Complete, InitialMoments, Move};
+use crate::score::complete::{Complete, InitialMoments, SmoothedTransition};
 use crate::score::pullback::{Adjoints, Gradient};
 use kalfit_algebra::symmetric;
 use kalfit_model::Test;
@@ -61,7 +61,7 @@ fn sum(
         let Some((own, bar)) = measurements(work, &step, (k, complete)) else { return Ok(None) };
         value += own;
         adjoints.step_measured(test, k, work, &bar)?;
-        if let (Some(new), Some(old)) = (step.transition, &complete.moves[k]) {
+        if let (Some(new), Some(old)) = (step.transition, &complete.transitions[k]) {
             input -= driven;
             let change =
                 TransitionChange { new, input: &work.data.inputs[input..][..driven], old, before: &complete.states[k] };
@@ -70,9 +70,9 @@ fn sum(
             adjoints.step_moved(test, k, work, &bar)?;
         }
     }
-    let Some(begun) = start(design, &work.data.start, &complete.start) else { return Ok(None) };
-    adjoints.started(test, work, &begun.mean, &begun.variance)?;
-    Ok(Some(value + begun.value))
+    let Some(start_part) = start(design, &work.data.start, &complete.start) else { return Ok(None) };
+    adjoints.started(test, work, &start_part.mean, &start_part.variance)?;
+    Ok(Some(value + start_part.value))
 }
 
 /// The part of Q from the scalar measurements of a step, and the derivatives of this part. `None` where a measurement
@@ -117,7 +117,7 @@ fn measurements(
 struct TransitionChange<'a> {
     new: &'a Arc<Transition>,
     input: &'a [f64],
-    old: &'a Move,
+    old: &'a SmoothedTransition,
     before: &'a Smoothed,
 }
 
@@ -128,7 +128,7 @@ struct RangeInverseCache {
 }
 
 impl RangeInverseCache {
-    fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&RangeInverse> {
+    fn range_inverse_of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&RangeInverse> {
         let same =
             |(a, b, _): &(Arc<Transition>, Arc<Transition>, RangeInverse)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
         if !self.last.as_ref().is_some_and(same) {
@@ -145,7 +145,7 @@ impl TransitionChange<'_> {
     fn expected(&self, frame: &StateFrame, known: &mut RangeInverseCache) -> Option<(f64, TransitionAdjoint)> {
         let (n, r) = (frame.n, frame.r);
         let pattern = &self.new.pattern;
-        let range_inverse = known.of(&self.old.transition, self.new, r)?;
+        let range_inverse = known.range_inverse_of(&self.old.transition, self.new, r)?;
         let (step, shift) = self.difference(frame, range_inverse)?;
         let noise = &self.old.noise;
         let variance = DMatrix::from_row_slice(n, n, &self.before.variance);
@@ -177,13 +177,13 @@ impl TransitionChange<'_> {
     fn difference(&self, frame: &StateFrame, range_inverse: &RangeInverse) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let (n, r) = (frame.n, frame.r);
         let (mut step, mut shift) = (DMatrix::zeros(r, n), DVector::zeros(r));
-        let free = |i: usize| i < r && range_inverse.noisy[i];
+        let is_noisy = |i: usize| i < r && range_inverse.noisy[i];
         let pattern = &self.new.pattern;
         for row in &pattern.moved {
             let i = row.state as usize;
             for k in row.start as usize..row.end as usize {
                 let (new, old, j) = (self.new.phi[k], self.old.transition.phi[k], pattern.columns[k] as usize);
-                if free(i) {
+                if is_noisy(i) {
                     step[(i, j)] = new - old;
                     shift[i] -= (new - old) * self.before.mean[j];
                 } else if differ(new, old) {
@@ -192,7 +192,7 @@ impl TransitionChange<'_> {
             }
         }
         for ((&i, new), old) in frame.driven.iter().zip(self.input).zip(&self.old.input) {
-            if free(i as usize) {
+            if is_noisy(i as usize) {
                 shift[i as usize] -= new - old;
             } else if differ(*new, *old) {
                 return None;
@@ -240,7 +240,7 @@ fn start(design: &Design, known: &[f64], old: &InitialMoments) -> Option<StartPa
 struct RangeInverse {
     inverse: DMatrix<f64>,
     /// log|Q| on the range, up to a constant.
-    log: f64,
+    log_determinant: f64,
     /// Whether each state has noise.
     noisy: Vec<bool>,
     /// Linear combinations of the states that no noise reaches, scaled to unit size, one per row.
@@ -258,13 +258,13 @@ impl RangeInverse {
     fn new(old: &DMatrix<f64>, new: &DMatrix<f64>) -> Option<RangeInverse> {
         let r = old.nrows();
         let noisy: Vec<bool> = (0..r).map(|i| old[(i, i)] > 0.0).collect();
-        let list: Vec<usize> = (0..r).filter(|&i| noisy[i]).collect();
+        let noisy_states: Vec<usize> = (0..r).filter(|&i| noisy[i]).collect();
         if (0..r).any(|i| (new[(i, i)] > 0.0) != noisy[i]) {
             return None;
         }
-        let scale: Vec<f64> = list.iter().map(|&i| old[(i, i)].sqrt().recip()).collect();
+        let scale: Vec<f64> = noisy_states.iter().map(|&i| old[(i, i)].sqrt().recip()).collect();
         let scaled = |q: &DMatrix<f64>| {
-            DMatrix::from_fn(list.len(), list.len(), |i, j| scale[i] * q[(list[i], list[j])] * scale[j])
+            DMatrix::from_fn(noisy_states.len(), noisy_states.len(), |i, j| scale[i] * q[(noisy_states[i], noisy_states[j])] * scale[j])
         };
         let range = |values: &[f64]| {
             let most = values.iter().copied().fold(0.0, f64::max);
@@ -278,17 +278,17 @@ impl RangeInverse {
             return None;
         }
         let mut range_inverse =
-            RangeInverse { inverse: DMatrix::zeros(r, r), log: 0.0, noisy, outside: DMatrix::zeros(0, r) };
+            RangeInverse { inverse: DMatrix::zeros(r, r), log_determinant: 0.0, noisy, outside: DMatrix::zeros(0, r) };
         for (k, value) in values.iter().enumerate() {
-            let mut along = DVector::zeros(r);
-            list.iter().enumerate().for_each(|(i, &state)| along[state] = scale[i] * vectors[(i, k)]);
+            let mut direction = DVector::zeros(r);
+            noisy_states.iter().enumerate().for_each(|(i, &state)| direction[state] = scale[i] * vectors[(i, k)]);
             if inside[k] {
-                range_inverse.log += value.ln();
-                range_inverse.inverse += &along * along.transpose() / *value;
+                range_inverse.log_determinant += value.ln();
+                range_inverse.inverse += &direction * direction.transpose() / *value;
             } else {
                 let at = range_inverse.outside.nrows();
                 range_inverse.outside = range_inverse.outside.insert_row(at, 0.0);
-                range_inverse.outside.set_row(at, &along.transpose());
+                range_inverse.outside.set_row(at, &direction.transpose());
             }
         }
         Some(range_inverse)
@@ -296,13 +296,13 @@ impl RangeInverse {
 
     /// -½ (log|Q| + tr Q⁻¹E) with E = `second`; `None` where the noise would have to leave the range.
     fn expected(&self, second: &DMatrix<f64>) -> Option<QuadraticTerm> {
-        for along in self.outside.row_iter() {
-            if (along * second * along.transpose())[(0, 0)] > MAX_VARIANCE_OUTSIDE {
+        for direction in self.outside.row_iter() {
+            if (direction * second * direction.transpose())[(0, 0)] > MAX_VARIANCE_OUTSIDE {
                 return None;
             }
         }
         let half = &self.inverse * second;
-        let value = -0.5 * (self.log + half.trace());
+        let value = -0.5 * (self.log_determinant + half.trace());
         let bar = (&half * &self.inverse - &self.inverse) * 0.5;
         value.is_finite().then_some(QuadraticTerm { value, bar })
     }

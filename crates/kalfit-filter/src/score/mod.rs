@@ -93,7 +93,7 @@ impl<'a> Scorer<'a> {
         let result = self.reducer.with_gains(test, work, |gains, work| {
             let input = BackwardInput::of((work, gains), (moments, ending), self.wanted());
             let done = input.backward(backward, &mut PullbackSink { adjoints, test, work });
-            adjoints.finished(done, test, work)
+            adjoints.finish_after(done, test, work)
         })?;
         result.map_err(|fault| self.reducer.named(*fault, test))
     }

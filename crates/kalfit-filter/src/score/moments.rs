@@ -105,7 +105,7 @@ fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
     }
     // row by row: L with LL' = S, then L⁻¹ and L⁻¹e
     let row = |k: usize| &spread[k * columns..][..columns];
-    let (mut lower, mut inverse, mut white) = (vec![0.0; p * p], vec![0.0; p * p], vec![0.0; p]);
+    let (mut lower, mut inverse, mut whitened_residual) = (vec![0.0; p * p], vec![0.0; p * p], vec![0.0; p]);
     for k in 0..p {
         for i in 0..=k {
             let own = f64::from(u8::from(i == k)) + row(k).iter().zip(row(i)).map(|(a, b)| a * b).sum::<f64>();
@@ -118,9 +118,9 @@ fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
             inverse[k * p + c] = own / pivot;
         }
         let e = reduction.data[k] - line(k, &|i| mean[i]);
-        white[k] = (e - (0..k).map(|m| lower[k * p + m] * white[m]).sum::<f64>()) / pivot;
+        whitened_residual[k] = (e - (0..k).map(|m| lower[k * p + m] * whitened_residual[m]).sum::<f64>()) / pivot;
     }
-    let left = |c: usize| (c..p).map(|k| inverse[k * p + c] * white[k]).sum::<f64>();
+    let left = |c: usize| (c..p).map(|k| inverse[k * p + c] * whitened_residual[k]).sum::<f64>();
     let told = |c: usize| 1.0 - (c..p).map(|k| inverse[k * p + c].powi(2)).sum::<f64>();
     Some((0..p).map(|c| left(c).powi(2) + told(c)).sum())
 }

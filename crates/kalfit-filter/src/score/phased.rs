@@ -89,14 +89,14 @@ impl<'a> PhasedScorer<'a> {
         (classes, filtered): (&Replicates, Option<&FilteredPhases>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
-        let of = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered };
+        let ensemble = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered };
         // the covariance of the mean depends on covariates, so that tests are not replicates
         let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none = own.then(|| Replicates::none(tests.len()));
         let classes = none.as_ref().unwrap_or(classes);
-        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.score_class(of, members, room);
+        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.score_class(ensemble, members, room);
         let mut scores: Vec<Score> = classes.sets.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        scores.extend(self.score_unclassed(of, &classes.alone));
+        scores.extend(self.score_unclassed(ensemble, &classes.alone));
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }
@@ -109,11 +109,11 @@ impl<'a> PhasedScorer<'a> {
         law: &InitialLaw,
     ) -> Result<Vec<PhasedComplete>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
-        let of = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered: None };
+        let ensemble = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered: None };
         let one = |room: &mut ScoreWorkspace<'_>, (test, number)| {
-            self.complete(test, self.begin(of, number, &mut room.work)?, room)
+            self.complete(test, self.begin(ensemble, number, &mut room.work)?, room)
         };
-        self.each((tests, (0..tests.len()).into_par_iter()), one)
+        self.map_tests((tests, (0..tests.len()).into_par_iter()), one)
     }
 
     /// Smoothed states of each phase of each test, given all data of the test: x_0, then the state after each step.
@@ -135,11 +135,11 @@ impl<'a> PhasedScorer<'a> {
         complete: &[PhasedComplete],
     ) -> Result<Option<Vec<(f64, Gradient)>>, ReduceError> {
         let one = |room: &mut ScoreWorkspace<'_>, (test, complete)| self.expected(test, complete, room);
-        let all = self.each((tests, complete.par_iter()), one)?;
+        let all = self.map_tests((tests, complete.par_iter()), one)?;
         Ok(all.into_iter().collect())
     }
 
-    fn each<'t, X: Send, T: Send>(
+    fn map_tests<'t, X: Send, T: Send>(
         &self,
         (tests, with): (&'t [PhasedTest], impl IndexedParallelIterator<Item = X>),
         one: impl Fn(&mut ScoreWorkspace<'_>, (&'t PhasedTest, X)) -> Result<T, ReduceError> + Sync + Send,
@@ -161,26 +161,26 @@ impl<'a> PhasedScorer<'a> {
     /// Results of the smoother for each phase of a test, from which the passes over the phase start.
     fn begin(
         &self,
-        of: ScoredEnsemble<'_>,
+        ensemble: ScoredEnsemble<'_>,
         number: usize,
         work: &mut PhasedWork,
     ) -> Result<Vec<SmoothedPhase>, ReduceError> {
-        let reduction = of.reductions.get(number);
+        let reduction = ensemble.reductions.get(number);
         if self.model.is_single() {
-            return Ok(vec![SmoothedPhase { moments: moments(reduction, of.law), ..SmoothedPhase::default() }]);
+            return Ok(vec![SmoothedPhase { moments: moments(reduction, ensemble.law), ..SmoothedPhase::default() }]);
         }
         let made;
-        let pieces = match of.filtered.and_then(|filtered| filtered.pieces(number)) {
+        let pieces = match ensemble.filtered.and_then(|filtered| filtered.pieces(number)) {
             Some(pieces) => pieces,
             None => {
-                made = self.reducer.pieces_of(&of.tests[number], work)?;
+                made = self.reducer.pieces_of(&ensemble.tests[number], work)?;
                 &made
             }
         };
-        let laws = PhaseLaws::new(of.law, &self.model.ranges(), reduction.covariates);
-        let entry = of.plans.get(
+        let laws = PhaseLaws::new(ensemble.law, &self.model.ranges(), reduction.covariates);
+        let entry = ensemble.plans.get(
             reduction.design,
-            |known| known.same(pieces, &laws),
+            |known| known.equals(pieces, &laws),
             || PlanKey::new(pieces, &laws),
             |_| SmootherPlan::new(pieces, &laws),
             |_, plan| 2 * plan.bytes(),
@@ -198,14 +198,14 @@ impl<'a> PhasedScorer<'a> {
         let mut sum = BTreeMap::new();
         for (at, smooth) in phases.iter().enumerate() {
             if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, test)) {
-                self.carry((at, rows), bar, room, &mut sum)?;
+                self.add_carry_gradient((at, rows), bar, room, &mut sum)?;
             }
         }
         Ok(sum.into_iter().collect())
     }
 
     /// Adds the part of the score that goes through the coefficients of a phase's carry.
-    fn carry(
+    fn add_carry_gradient(
         &self,
         (at, rows): (usize, &Test),
         bar: &InheritanceAdjoint,

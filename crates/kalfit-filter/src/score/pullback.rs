@@ -52,7 +52,7 @@ pub(crate) struct Pullback<'a> {
     pairs: Vec<Option<usize>>,
     /// Index of the tap of each coefficient of the start; `None` for coefficients without a tap.
     start: Vec<Option<usize>>,
-    needs: Needs,
+    needs: NeededAdjoints,
 }
 
 /// Indices of the taps of the coefficients of a measurement.
@@ -71,7 +71,7 @@ impl MeterTaps {
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Needs {
+struct NeededAdjoints {
     /// Whether φ depends on free values, and with φ also Γ in b = Γu.
     rates: bool,
     inputs: bool,
@@ -115,14 +115,14 @@ impl<'a> Pullback<'a> {
             meters,
             pairs,
             start,
-            needs: Needs::default(),
+            needs: NeededAdjoints::default(),
         };
-        pullback.needs = pullback.find_needs();
+        pullback.needs = pullback.needed_adjoints();
         Ok(pullback)
     }
 
     /// Finds the adjoints that the chain rule needs: the adjoints of coefficients that depend on free values.
-    fn find_needs(&self) -> Needs {
+    fn needed_adjoints(&self) -> NeededAdjoints {
         let dynamics = &self.preparer.dynamics;
         let (free, start) = (|slot: usize| self.free[slot], &self.preparer.start);
         let any = |terms: &[(usize, usize, usize)]| terms.iter().any(|&(.., slot)| free(slot));
@@ -136,7 +136,7 @@ impl<'a> Pullback<'a> {
         let constants = self.meters.iter().any(|meter| meter.constant.is_some());
         let settled = (0..self.free.len()).any(|slot| free(slot) && start.needs(slot));
         let driven = (0..self.inputs.len()).any(|slot| self.inputs[slot].is_some() && start.needs_input(slot));
-        Needs {
+        NeededAdjoints {
             rates,
             inputs: self.inputs.iter().any(Option::is_some),
             noise,

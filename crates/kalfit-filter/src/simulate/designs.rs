@@ -27,8 +27,8 @@ impl Designs {
             return Err(SimulateError::NoTests);
         }
         let mut ids = BTreeSet::new();
-        if let Some(twice) = tests.iter().find(|test| !ids.insert(test.id.as_str())) {
-            return Err(SimulateError::DuplicateTest { id: twice.id.to_string() });
+        if let Some(duplicate) = tests.iter().find(|test| !ids.insert(test.id.as_str())) {
+            return Err(SimulateError::DuplicateTest { id: duplicate.id.to_string() });
         }
         let mut round_mark = "#".to_owned();
         while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&round_mark)) {
@@ -53,12 +53,12 @@ impl Designs {
     pub(super) fn groups(&self, index: u64) -> Option<Vec<u64>> {
         let grouping = self.grouping.as_ref()?;
         let (round, all) = (index / self.tests.len() as u64, (0..grouping.depth()).map(|l| grouping.groups(l).len()));
-        let firsts: Vec<usize> = all.scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect();
+        let level_starts: Vec<usize> = all.scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect();
         let total: usize = (0..grouping.depth()).map(|l| grouping.groups(l).len()).sum();
         let number = grouping.number(&self.design(index).id)?;
         let of_level =
             |(level, first): (usize, usize)| round * total as u64 + (first + grouping.group_of(number, level)) as u64;
-        Some(firsts.into_iter().enumerate().map(of_level).collect())
+        Some(level_starts.into_iter().enumerate().map(of_level).collect())
     }
 
     /// The tests of the design.

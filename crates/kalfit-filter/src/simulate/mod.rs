@@ -109,7 +109,7 @@ pub struct Drawn {
 pub struct Simulator {
     /// Reducer whose phases evaluate the rows of tests in entering coordinates σ.
     reducer: PhasedReducer,
-    laws: Vec<DrawnPhase>,
+    drawn_phases: Vec<DrawnPhase>,
     /// F with FF' = Σ for the deviations of groups, one for each level, the innermost first.
     levels: Vec<DMatrix<f64>>,
     seed: u64,
@@ -158,14 +158,14 @@ impl Simulator {
             symmetric::square_root(&population.covariance.view(at, (p, p)).into_owned())
         };
         let levels = (0..model.levels.len()).map(of_level).collect();
-        let laws = model.phases.iter().zip(population.by_phase(model)).map(law).collect();
-        Ok(Simulator { reducer, laws, levels, seed })
+        let drawn_phases = model.phases.iter().zip(population.by_phase(model)).map(law).collect();
+        Ok(Simulator { reducer, drawn_phases, levels, seed })
     }
 
     /// The phases of the model, in order.
     fn phases(&self) -> impl Iterator<Item = PhaseDraw<'_>> {
         let draw = |(phase, law)| PhaseDraw { law, phase, preparer: phase.reducer.preparer() };
-        self.reducer.phases().iter().zip(&self.laws).map(draw)
+        self.reducer.phases().iter().zip(&self.drawn_phases).map(draw)
     }
 
     /// Draws tests `places` of the ensemble, in order.
@@ -176,13 +176,13 @@ impl Simulator {
         let paths =
             || -> Vec<DrawWorkspace> { self.phases().map(|phase| DrawWorkspace::new(phase.preparer)).collect() };
         let all: Vec<Result<Drawn, SimulateError>> =
-            places.into_par_iter().map_init(paths, |paths, place| self.one(designs, place, paths)).collect();
+            places.into_par_iter().map_init(paths, |paths, place| self.draw_one(designs, place, paths)).collect();
         all.into_iter().collect()
     }
 
-    fn one(&self, designs: &Designs, place: u64, paths: &mut [DrawWorkspace]) -> Result<Drawn, SimulateError> {
+    fn draw_one(&self, designs: &Designs, place: u64, paths: &mut [DrawWorkspace]) -> Result<Drawn, SimulateError> {
         let (design, id) = (designs.design(place), designs.id(place));
-        let (found, expected) = (design.phases.len(), self.laws.len());
+        let (found, expected) = (design.phases.len(), self.drawn_phases.len());
         if !(1..=expected).contains(&found) {
             return Err(SimulateError::Phases { test: id, found, expected });
         }

@@ -131,8 +131,8 @@ fn measure(
     let variance = |i: usize| joint.as_ref().map_or(work.design.noise[step.lines.start + i], |R| R[i * m + i]);
     let white: Vec<f64> = (0..m).map(|i| variance(i).sqrt() * normal(random)).collect();
     for (i, value) in values[first..].iter_mut().enumerate() {
-        let others = joint.iter().flat_map(|R| (0..i).map(|k| R[i * m + k] * white[k]));
-        *value += white[i] + others.sum::<f64>();
+        let correlated_terms = joint.iter().flat_map(|R| (0..i).map(|k| R[i * m + k] * white[k]));
+        *value += white[i] + correlated_terms.sum::<f64>();
     }
     Ok(())
 }
@@ -143,10 +143,10 @@ fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64
     let covariances = work.covariances.as_deref().unwrap_or_default();
     // the covariances of one step are adjacent, in the order of the steps
     let begin = covariances.partition_point(|&(i, ..)| i < rows.start);
-    let own = covariances[begin..].iter().take_while(|(i, ..)| *i < rows.end);
+    let step_covariances = covariances[begin..].iter().take_while(|(i, ..)| *i < rows.end);
     let m = rows.len();
     let mut R: Option<Vec<f64>> = None;
-    for &(i, j, value) in own {
+    for &(i, j, value) in step_covariances {
         let R = R.get_or_insert_with(|| {
             let variance = |k: usize| if k / m == k % m { work.design.noise[line + k / m] } else { 0.0 };
             (0..m * m).map(variance).collect()

@@ -11,7 +11,7 @@ pub(super) const INTERVAL_LOSS: f64 = 1.9208;
 /// Most ends of searches, besides the best end, that are used as starts.
 const MAX_OTHERS: usize = 6;
 /// Relative difference of values up to which two ends count as equal.
-pub(super) const ALIKE: f64 = 1e-3;
+pub(super) const END_TOLERANCE: f64 = 1e-3;
 
 /// Sought values at the other ends of the searches, from the highest end on: from such an end a profile may be higher
 /// than from the best end.
@@ -20,7 +20,7 @@ pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec
     let mut kept = vec![fit.sought.clone()];
     for end in fit.others.iter().filter(|end| end.log_likelihood >= least) {
         let sought = objective.sought(&end.values);
-        if kept.len() <= MAX_OTHERS && !kept.iter().any(|other| alike(other, &sought, ALIKE)) {
+        if kept.len() <= MAX_OTHERS && !kept.iter().any(|other| alike(other, &sought, END_TOLERANCE)) {
             kept.push(sought);
         }
     }
@@ -35,8 +35,8 @@ pub(super) fn others_of_value(
     (best, others): (&[f64], &[Vec<f64>]),
     slot: usize,
 ) -> Vec<Vec<f64>> {
-    let moving = |pair: &ExchangeablePair| pair.pairs.iter().any(|&(s, t)| s == slot || t == slot);
-    let (own, rest): (Vec<ExchangeablePair>, Vec<_>) = objective.twins.iter().cloned().partition(moving);
+    let moves_value = |pair: &ExchangeablePair| pair.pairs.iter().any(|&(s, t)| s == slot || t == slot);
+    let (own, rest): (Vec<ExchangeablePair>, Vec<_>) = objective.twins.iter().cloned().partition(moves_value);
     let place = |values: &[f64]| {
         let mut place = ordered(&rest, values);
         place[slot] = 0.0; // the value in `slot` is held, and so not compared
@@ -47,7 +47,7 @@ pub(super) fn others_of_value(
     let (mut kept, mut seen) = (Vec::new(), vec![place(best)]);
     for values in orders {
         let place = place(&values);
-        if kept.len() < MAX_OTHERS && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
+        if kept.len() < MAX_OTHERS && !seen.iter().any(|other| alike(other, &place, END_TOLERANCE)) {
             kept.push(values);
             seen.push(place);
         }

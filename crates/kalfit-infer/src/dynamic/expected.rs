@@ -198,13 +198,13 @@ impl TangentFilter {
 
     /// The information from all time steps of a record; incomplete once `progress` stops.
     fn over(mut self, centre: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
-        let mut beside: Vec<[TimeSteps<'_>; 2]> =
+        let mut side_steps: Vec<[TimeSteps<'_>; 2]> =
             pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
         for (number, own) in centre.moments().enumerate() {
             if number % STEPS_PER_CHECK == STEPS_PER_CHECK - 1 && progress.stops() {
                 break;
             }
-            let sides = pairs.iter().zip(&mut beside);
+            let sides = pairs.iter().zip(&mut side_steps);
             let slopes: Option<Vec<TimeStep>> =
                 sides.map(|(pair, [up, down])| Some(pair.moment(&own, up.next()?, down.next()?))).collect();
             let Some(slopes) = slopes else { break };
@@ -252,33 +252,33 @@ impl TangentFilter {
         }
         let gain = &carried / variance;
         let k = slopes.len();
-        // e_a = value_a - h_a'x̂ - h'x̂_a = value_a - (column a of `seen`)'u
-        let mut seen = DMatrix::zeros(self.mean.len(), k);
+        // e_a = value_a - h_a'x̂ - h'x̂_a = value_a - (column a of `observation_map`)'u
+        let mut observation_map = DMatrix::zeros(self.mean.len(), k);
         let mut turned = DVector::zeros(k); // S_a
         let mut gains = DMatrix::zeros(n, k); // K_a
         for (a, slope) in slopes.iter().enumerate() {
-            seen.view_mut((0, a), (n, 1)).copy_from(&slope.h);
-            seen.view_mut((n * (a + 1), a), (n, 1)).copy_from(&own.h);
+            observation_map.view_mut((0, a), (n, 1)).copy_from(&slope.h);
+            observation_map.view_mut((n * (a + 1), a), (n, 1)).copy_from(&own.h);
             let from = &self.slopes[a] * &own.h + &self.variance * &slope.h;
             turned[a] = own.h.dot(&(&self.slopes[a] * &own.h)) + 2.0 * slope.h.dot(&carried) + slope.noise;
             gains.set_column(a, &((from - &gain * turned[a]) / variance));
         }
-        let expected = DVector::from_fn(k, |a, _| slopes[a].value) - seen.tr_mul(&self.mean);
-        let with = &self.spread * &seen;
-        let among = seen.tr_mul(&with);
+        let expected = DVector::from_fn(k, |a, _| slopes[a].value) - observation_map.tr_mul(&self.mean);
+        let with = &self.spread * &observation_map;
+        let residual_covariance = observation_map.tr_mul(&with);
         self.information += (&turned * turned.transpose()) * (0.5 / (variance * variance))
-            + (&expected * expected.transpose() + &among) / variance;
+            + (&expected * expected.transpose() + &residual_covariance) / variance;
         // x̂_a → x̂_a + K_a e + K e_a, x̂ → x̂ + K e
-        let mut through = DMatrix::zeros(self.mean.len(), k);
+        let mut gain_map = DMatrix::zeros(self.mean.len(), k);
         let mut white = DVector::zeros(self.mean.len());
         white.rows_mut(0, n).copy_from(&gain);
         for a in 0..k {
-            through.view_mut((n * (a + 1), a), (n, 1)).copy_from(&gain);
+            gain_map.view_mut((n * (a + 1), a), (n, 1)).copy_from(&gain);
             white.rows_mut(n * (a + 1), n).copy_from(&gains.column(a));
         }
-        self.mean += &through * &expected;
-        let crossed = &with * through.transpose();
-        self.spread += &through * among * through.transpose() - &crossed - crossed.transpose();
+        self.mean += &gain_map * &expected;
+        let crossed = &with * gain_map.transpose();
+        self.spread += &gain_map * residual_covariance * gain_map.transpose() - &crossed - crossed.transpose();
         self.spread.ger(variance, &white, &white, 1.0);
         for (a, slope) in self.slopes.iter_mut().enumerate() {
             let crossed = gains.column(a) * gain.transpose() * variance;

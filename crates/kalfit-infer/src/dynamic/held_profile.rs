@@ -26,13 +26,13 @@ use kalfit_search::{Iterate, ProfileInformation, Quadratic};
 /// Tolerance t of α, in standard errors: the error of ℓ is then ½t².
 const TOLERANCE: f64 = 1e-3;
 /// Distance of α from the maximum, in standard errors, that is accepted where no step raises ℓ.
-const NEAR_ENOUGH: f64 = 2e-2;
+const ACCEPTED_DISTANCE: f64 = 2e-2;
 /// Maximal number of steps of α.
 const MAX_STEPS: usize = 25;
 /// Most lengths tried for one step, each shorter than the previous length.
 const MAX_TRIALS: usize = 8;
 /// Longest step of a logarithm.
-const LONGEST: f64 = 2.0;
+const MAX_LOG_STEP: f64 = 2.0;
 /// Standard error assumed for a coordinate that is released from its bound.
 const RELEASED_ERROR: f64 = 0.3;
 
@@ -182,7 +182,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
     }
 
     /// Covariance of the values in `slots` given a quantity, and regression coefficients of the values on the quantity.
-    fn given(&self, what: impl HeldQuantity) -> (DMatrix<f64>, DVector<f64>) {
+    fn alpha_given(&self, what: impl HeldQuantity) -> (DMatrix<f64>, DVector<f64>) {
         let (with, variance) = self.with(what);
         if variance > 0.0 && variance.is_finite() {
             (&self.alpha - &with * with.transpose() / variance, with / variance)
@@ -196,7 +196,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         let mut moved = values.to_vec();
         for (&s, d) in self.slots.iter().zip(step.iter()) {
             let coordinate = &self.objective.coordinates[s];
-            let d = if coordinate.log { d.clamp(-LONGEST, LONGEST) } else { *d };
+            let d = if coordinate.log { d.clamp(-MAX_LOG_STEP, MAX_LOG_STEP) } else { *d };
             moved[s] = coordinate.moved(values[s], d);
         }
         moved
@@ -212,7 +212,7 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         let found = what.maximum((&Holder::new(&state), &alpha), x, &state.newton_iterate.point)?;
         let scores = objective.scores(&values, &reduced, &state.law_at(&found.near)).ok()?;
         let there = state.problem.values_of(&found.near.point);
-        let score = state.problem.score_out(&found.near.tangent.residual_score);
+        let score = state.problem.score_in_user_units(&found.near.tangent.residual_score);
         let matrix = matrix_gradient(objective.model, &alpha, objective.slots, &there.covariance, &score);
         let mut gradient = objective.gradient(&values, &scores, &matrix);
         for (&s, own) in self.slots.iter().zip(what.slopes_at(self, &values, &there)?.iter()) {
@@ -239,14 +239,14 @@ impl<'b, 'a> HeldProfile<'b, 'a> {
         held: (impl HeldQuantity, f64),
         here: &HeldPoint,
         step: &DVector<f64>,
-        promised: f64,
+        predicted_rise: f64,
     ) -> Option<HeldPoint> {
         let slack = 1e-12 * here.value().abs().max(1.0);
         let near = here.near(held.1);
         let mut length = 1.0;
         for _ in 0..MAX_TRIALS {
             let values = self.moved(&here.values, &(step * length));
-            let rises = |next: &HeldPoint| next.value() >= here.value() + 0.05 * length * promised - slack;
+            let rises = |next: &HeldPoint| next.value() >= here.value() + 0.05 * length * predicted_rise - slack;
             if let Some(next) = self.at(held, values, &near).filter(rises) {
                 return Some(next);
             }
@@ -272,28 +272,28 @@ impl HeldProfile<'_, '_> {
     pub(super) fn highest(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
         let from = |other: &[f64]| {
             let (values, state) = (other.to_vec(), self.estimate.state.clone());
-            self.nearby(what, x, &WarmStart { values, state, point: None, at: Some(x) })
+            self.maximum_from(what, x, &WarmStart { values, state, point: None, at: Some(x) })
         };
         let likely = self.estimate.log_likelihood - INTERVAL_LOSS;
-        let found = highest(self.nearby(what, x, near), &self.others, (HeldPoint::value, likely), from)?;
+        let found = highest(self.maximum_from(what, x, near), &self.others, (HeldPoint::value, likely), from)?;
         Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
     }
 
     /// The maximum that a search from nearby reaches.
-    fn nearby(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<HeldPoint> {
-        let (covariance, follows) = self.given(what);
+    fn maximum_from(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<HeldPoint> {
+        let (covariance, follows) = self.alpha_given(what);
         let from = near.at.or_else(|| what.value(self))?;
         let expected = self.moved(&near.values, &(follows * (x - from)));
         let mut here = self.at((what, x), expected, near).or_else(|| self.at((what, x), near.values.clone(), near))?;
         let information = ProfileInformation::of_covariance(&self.slots, &covariance);
         let mut quadratic = Quadratic::about(&self.objective.coordinates, information, &here.values);
         for _ in 0..MAX_STEPS {
-            let (step, promised) = self.step(&quadratic, &here)?;
-            if promised <= TOLERANCE * TOLERANCE {
+            let (step, predicted_rise) = self.step(&quadratic, &here)?;
+            if predicted_rise <= TOLERANCE * TOLERANCE {
                 return Some(here);
             }
-            let Some(next) = self.next((what, x), &here, &step, promised) else {
-                return Some(here).filter(|_| promised <= NEAR_ENOUGH * NEAR_ENOUGH);
+            let Some(next) = self.next((what, x), &here, &step, predicted_rise) else {
+                return Some(here).filter(|_| predicted_rise <= ACCEPTED_DISTANCE * ACCEPTED_DISTANCE);
             };
             quadratic.update((&here).into(), (&next).into());
             here = next;

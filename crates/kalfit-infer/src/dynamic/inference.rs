@@ -33,29 +33,29 @@ pub fn infer(
         }
         None => ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings),
     };
-    let (estimate, observed) = with_law(&objective, fit);
+    let (estimate, observed) = estimate_with_law(&objective, fit);
     let spread = |mut covariances: ValueCovariances| {
         covariances.without_flat(&observed);
         spread(&objective, fit, covariances)
     };
     // intervals by profiles only where the maximum is certified
     let mut wald = Choices { intervals: IntervalKind::Wald, ..choices };
-    let asked = match choices.std_errors {
+    let requested = match choices.std_errors {
         StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&objective, fit, &observed)?)),
-        StdErrors::Expected if ml => of_expectation(&objective, fit, progress)?.map(spread),
+        StdErrors::Expected if ml => expected_covariances(&objective, fit, progress)?.map(spread),
         _ => None,
     };
-    if asked.is_none() {
+    if requested.is_none() {
         wald.std_errors = StdErrors::Observed;
     }
-    let (mut inference, mut parameters) = match &asked {
-        Some(asked) => {
+    let (mut inference, mut parameters) = match &requested {
+        Some(requested) => {
             let mut other = fit.estimate.clone();
-            other.state.joint = Some(law::joint(model, fit, asked));
+            other.state.joint = Some(law::joint(model, fit, requested));
             let inference = inferred(&other, &fit.reductions, wald, progress);
             // score tests always use the observed information
             let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
-            (inference, parameter_inferences(model, fit, asked))
+            (inference, parameter_inferences(model, fit, requested))
         }
         None => {
             let inference = inferred(&estimate, &fit.reductions, wald, progress);
@@ -84,16 +84,16 @@ fn profiles(
     (inference, parameters): (&mut Inference, &mut [ParameterInference]),
     (labels, progress): (&Labels, &SharedProgress<'_>),
 ) -> Result<(), DynamicError> {
-    let kept = interval::profiles(objective, fit, observed, parameters, (labels, progress))?;
+    let wald_count = interval::profiles(objective, fit, observed, parameters, (labels, progress))?;
     if fit.estimate.stop == Stop::Certified {
         profile::profiles((objective, fit), estimate, observed, (inference, parameters), progress);
     }
-    inference.intervals.unprofiled += kept;
+    inference.intervals.unprofiled += wald_count;
     Ok(())
 }
 
 /// The estimate with the law of (α, μ, Σ) from the observed information, and the covariances of this law.
-pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
+pub(super) fn estimate_with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
     let observed = spread(objective, fit, fit.joint.covariances_with(&flat::examined_eigenvalues(objective, fit)));
     let joint = law::joint(objective.model, fit, &observed);
     let mut estimate = fit.estimate.clone();
@@ -110,7 +110,7 @@ fn spread(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut covariances: 
 
 /// Covariances from the expected information, or an error where the expected information is not available; `None` once
 /// `progress` stops.
-fn of_expectation(
+fn expected_covariances(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     progress: &SharedProgress<'_>,

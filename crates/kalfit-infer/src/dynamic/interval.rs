@@ -4,7 +4,7 @@
 //! ℓ_max is taken on the highest branch: searches from other ends, and around an end, come before a value counts as
 //! unlikely.
 
-use crate::dynamic::branches::{ALIKE, highest, others, others_of_value};
+use crate::dynamic::branches::{END_TOLERANCE, highest, others, others_of_value};
 use crate::{Held, Holds, Profile, QUANTILE, SharedProgress};
 use kalfit_model::Labels;
 use kalfit_model::Population;
@@ -42,13 +42,13 @@ pub(crate) fn profiles(
     if fit.values.len() > MOST_PROFILED {
         return Ok(parameters.iter().filter(|parameter| is_open(parameter)).count());
     }
-    let mut kept = 0;
+    let mut wald_count = 0;
     let near = Population::from(&fit.estimate);
     let best = objective.solve(&fit.sought, Some(&near))?;
     let others = others(objective, fit);
     for (slot, parameter) in parameters.iter_mut().enumerate() {
         if is_open(parameter) && objective.edges.has(slot) {
-            kept += 1;
+            wald_count += 1;
         } else if is_open(parameter) {
             let error = covariances.alpha[slot].map(f64::sqrt);
             let others = others_of_value(objective, (&best.values, &others), slot);
@@ -56,7 +56,7 @@ pub(crate) fn profiles(
             parameter.interval = Some(HeldValue::new((objective, &best), slot, progress).ends(name, others, error));
         }
     }
-    Ok(kept)
+    Ok(wald_count)
 }
 
 /// The value in a slot, held at a distance, in the coordinate of the slot, from the value at the maximum of ℓ. If the
@@ -154,10 +154,10 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         }
     }
 
-    /// The best point with the value held at `tried`: by a search from nearby, from other ends where the maximum is too
+    /// The best point with the value held at `held_value`: by a search from nearby, from other ends where the maximum is too
     /// low, and around the maximum where ζ is close to the quantile.
-    fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
-        let from = |values: &[f64]| self.held_from(&near.iterate, values, tried);
+    fn highest(&self, near: &Branch, held_value: f64) -> Option<Branch> {
+        let from = |values: &[f64]| self.held_from(&near.iterate, values, held_value);
         let at = |root: f64| self.best.value() - 0.5 * root * root;
         let value = |end: &SearchEnd| end.iterate.value();
         let likely = at(QUANTILE - Self::PRECISION);
@@ -166,28 +166,28 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         if value(&end) > likely || value(&end) < at(QUANTILE + Self::PRECISION) {
             return Some(Branch { iterate: end.iterate, others, is_new: false });
         }
-        let before = end.iterate.values.clone();
+        let start_values = end.iterate.values.clone();
         let mut progress = self.progress;
         // close to the quantile, a higher maximum around the end would change the interval
         let iterate = explore::around(self.objective, end, self.slot, &mut progress).iterate;
-        let is_new = !alike(&before, &iterate.values, ALIKE);
+        let is_new = !alike(&start_values, &iterate.values, END_TOLERANCE);
         if is_new {
             others.push(iterate.values.clone());
         }
         Some(Branch { iterate, others, is_new })
     }
 
-    /// The end of a search with the value held at `tried`, from a start at `values`.
-    fn held_from(&self, near: &ProfilePoint, values: &[f64], tried: f64) -> Option<SearchEnd> {
+    /// The end of a search with the value held at `held_value`, from a start at `values`.
+    fn held_from(&self, near: &ProfilePoint, values: &[f64], held_value: f64) -> Option<SearchEnd> {
         let mut values = values.to_vec();
-        values[self.slot] = tried;
+        values[self.slot] = held_value;
         let population = Population::from(&near.estimate);
         let iterate = self.objective.solve(&values, Some(&population)).ok()?;
         let mut progress = self.progress;
         let mut search = SearchState::new(self.objective, &mut progress, iterate);
         search.hold(self.slot);
         let end = search.run().ok()?;
-        debug_assert!(end.iterate.values[self.slot] == tried, "a held value stays");
+        debug_assert!(end.iterate.values[self.slot] == held_value, "a held value stays");
         Some(end)
     }
 }

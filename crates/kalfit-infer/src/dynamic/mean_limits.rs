@@ -5,7 +5,7 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::dynamic::held_profile::{HeldProfile, HeldQuantity, WarmStart};
-use crate::dynamic::inference::with_law;
+use crate::dynamic::inference::estimate_with_law;
 use crate::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile, SharedProgress};
 use kalfit_estimate::{Estimate, Point, Progress};
 use kalfit_model::PhasedTest;
@@ -33,7 +33,7 @@ pub fn mean_limits(
 ) -> Vec<Option<[f64; 2]>> {
     let progress = &SharedProgress::new(progress, Some(model));
     let objective = ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings);
-    let (estimate, covariances) = with_law(&objective, fit);
+    let (estimate, covariances) = estimate_with_law(&objective, fit);
     let goes_on = |runs| progress.goes_on(runs);
     let objective = objective.while_waited_for(BeforeRuns(&goes_on));
     let Some(home) = means(&fit.alpha) else { return Vec::new() };

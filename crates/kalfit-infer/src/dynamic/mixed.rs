@@ -40,9 +40,9 @@ pub(super) fn mixed(
     let rows = rows?;
     let width = rows.first().map_or(0, DVector::len);
     let (k, n) = (shared.len(), covariances.whole.nrows());
-    let turned: Vec<usize> = (k..n).chain(0..k).collect(); // the tangent basis first
+    let tangent_first: Vec<usize> = (k..n).chain(0..k).collect(); // the tangent basis first
     Some(Mixed {
-        covariance: DMatrix::from_fn(n, n, |i, j| covariances.whole[(turned[i], turned[j])]),
+        covariance: DMatrix::from_fn(n, n, |i, j| covariances.whole[(tangent_first[i], tangent_first[j])]),
         information: DMatrix::from_fn(k, width, |i, j| rows[i][j]),
     })
 }
@@ -56,8 +56,8 @@ fn row(
 ) -> Option<DVector<f64>> {
     let (coordinate, value) = (&objective.coordinates[s], fit.sought[s]);
     let error = covariances.alpha[s].map(f64::sqrt);
-    let most = MAX_PART * value.abs().max(MAX_PART);
-    let step = if coordinate.log { STEP } else { error.map_or(most, |error| (STEP * error).min(most)) };
+    let max_step = MAX_PART * value.abs().max(MAX_PART);
+    let step = if coordinate.log { STEP } else { error.map_or(max_step, |error| (STEP * error).min(max_step)) };
     let at = |sign: f64| -> Option<(f64, DVector<f64>)> {
         let mut values = fit.sought.clone();
         values[s] = coordinate.moved(value, sign * step);

@@ -40,14 +40,14 @@ pub(crate) fn profiles(
         estimate.criterion == Criterion::Ml || !matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_))
     };
     let intervals = &mut inference.intervals;
-    let due = |what: &&Holdable| has_profile(what) && (wanted.contains(what) || intervals.ends.of(**what).is_some());
-    let due: Vec<Holdable> = all.iter().filter(due).copied().collect();
+    let requested = |what: &&Holdable| has_profile(what) && (wanted.contains(what) || intervals.ends.of(**what).is_some());
+    let requested: Vec<Holdable> = all.iter().filter(requested).copied().collect();
     wanted.truncate(if fit.values.len() <= MOST_VALUES { MOST_PROFILED } else { 0 });
     intervals.kind = IntervalKind::Profile;
     let entries = entries(objective, parameters);
     entries.iter().for_each(|(what, parameter)| intervals.set(*what, parameter.interval));
     let is_done = |what: &Holdable| wanted.contains(what) || entries.iter().any(|(entry, _)| entry == what);
-    intervals.unprofiled = due.iter().filter(|what| !is_done(what)).count();
+    intervals.unprofiled = requested.iter().filter(|what| !is_done(what)).count();
     let outer = HeldProfile::new((objective, fit), estimate, covariances);
     let start = WarmStart::best(fit, estimate);
     intervals.compute_profiles((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);

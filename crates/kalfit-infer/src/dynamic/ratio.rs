@@ -39,18 +39,18 @@ pub fn dynamic_ratio(
     wide: (&PhasedModel, &DynamicFit),
     tests: &[PhasedTest],
 ) -> Result<LikelihoodRatio, DynamicRatioError> {
-    let taken = restricted((null.0, &null.1.slots), (wide.0, &wide.1.slots), tests)?;
-    let of_population = population(null.0, wide)?;
-    if of_population.is_none() && taken.count == 0 {
+    let removed = restricted((null.0, &null.1.slots), (wide.0, &wide.1.slots), tests)?;
+    let population_part = population(null.0, wide)?;
+    if population_part.is_none() && removed.count == 0 {
         return Err(NotNested::Same.into());
     }
     let gap = wide.1.estimate.log_likelihood - null.1.estimate.log_likelihood;
-    let degrees_of_freedom = taken.count + of_population.as_ref().map_or(0, |r| r.degrees_of_freedom);
+    let degrees_of_freedom = removed.count + population_part.as_ref().map_or(0, |r| r.degrees_of_freedom);
     Ok(LikelihoodRatio {
         statistic: if degrees_of_freedom == 0 { 0.0 } else { (2.0 * gap).max(0.0) },
         degrees_of_freedom,
-        law: law(of_population.as_ref().map(|r| &r.law), taken, degrees_of_freedom),
-        null_on_boundary: of_population.is_some_and(|r| r.null_on_boundary),
+        law: law(population_part.as_ref().map(|r| &r.law), removed, degrees_of_freedom),
+        null_on_boundary: population_part.is_some_and(|r| r.null_on_boundary),
     })
 }
 
@@ -80,20 +80,20 @@ fn population(
     }
 }
 
-fn law(of_population: Option<&ReferenceLaw>, taken: Restricted, r: usize) -> ReferenceLaw {
+fn law(population_part: Option<&ReferenceLaw>, removed: Restricted, r: usize) -> ReferenceLaw {
     // quantities of μ and Σ on the boundary: none, one, or more
-    let edges = match of_population {
+    let boundary_count = match population_part {
         None => 0,
         Some(law) if law.is_chi_squared() => 0,
         Some(law) if is_half_space(law) => 1,
         Some(_) => 2,
     };
-    match edges + taken.at_bound {
-        0 => ReferenceLaw { is_bound: of_population.is_some_and(|law| law.is_bound), ..ReferenceLaw::chi_squared(r) },
-        edges => {
+    match boundary_count + removed.at_bound {
+        0 => ReferenceLaw { is_bound: population_part.is_some_and(|law| law.is_bound), ..ReferenceLaw::chi_squared(r) },
+        boundary_count => {
             let half = |degrees_of_freedom| Component { degrees_of_freedom, weight: 0.5 };
             let components = vec![half(r.saturating_sub(1)), half(r)];
-            ReferenceLaw { independent: components.clone(), components, is_bound: edges > 1 }
+            ReferenceLaw { independent: components.clone(), components, is_bound: boundary_count > 1 }
         }
     }
 }

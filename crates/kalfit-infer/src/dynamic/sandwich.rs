@@ -23,8 +23,8 @@ pub(crate) fn sandwich(
     let mut sum = DMatrix::zeros(n, n);
     let state = &fit.estimate.state;
     state.each_independent(&state.evidence(&reduced.reductions), &mut |tests, own| {
-        let of_tests = tests.iter().flat_map(|&j| scores[j].iter().copied());
-        let score = score(objective, fit, &observed.shared, (own, of_tests));
+        let test_scores = tests.iter().flat_map(|&j| scores[j].iter().copied());
+        let score = score(objective, fit, &observed.shared, (own, test_scores));
         sum.ger(1.0, &score, &score, 1.0);
     });
     let whole = &observed.whole * sum * &observed.whole;
@@ -41,14 +41,14 @@ fn score(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     shared: &[usize],
-    (own, of_tests): (&Sums, impl Iterator<Item = (usize, f64)>),
+    (own, test_scores): (&Sums, impl Iterator<Item = (usize, f64)>),
 ) -> DVector<f64> {
     let state = &fit.estimate.state;
-    let of_sigma = state.problem.score_out(&own.score());
+    let of_sigma = state.problem.score_in_user_units(&own.score());
     let matrix = matrix_gradient(objective.model, &fit.alpha, objective.slots, &fit.estimate.covariance, &of_sigma);
     let inner = state.gradient_along(own);
     let mut score = DVector::zeros(shared.len() + inner.len());
-    for (slot, bar) in of_tests.chain(matrix) {
+    for (slot, bar) in test_scores.chain(matrix) {
         if let Some(place) = shared.iter().position(|s| *s == slot) {
             score[place] += bar * objective.coordinates[slot].slope(fit.sought[slot]);
         }

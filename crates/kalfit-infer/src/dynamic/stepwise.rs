@@ -40,7 +40,7 @@ struct Section {
     /// (i, j, covariance) of the noises of the scalar measurements i and j, which are of one step.
     covariances: Vec<(usize, usize, f64)>,
     /// Number of group effects, which are states that precede the states of the phase.
-    held: usize,
+    group_states: usize,
 }
 
 /// x → φx + b + w, w ~ N(0, Q), or the slopes of φ, Q and b; φ is (states after) × (states before).
@@ -95,14 +95,14 @@ impl RecordPoint {
         last: Option<(&GroupedTest<'_>, usize)>,
         work: &mut PhasedWork,
     ) -> Result<Vec<Section>, ReduceError> {
-        let held = member.groups.len() * self.law.root.nrows();
+        let group_states = member.groups.len() * self.law.root.nrows();
         let (mut sections, mut covariates) = (Vec::new(), Vec::new());
         for ((phase, evidence), room) in self.reducer.phases().iter().zip(&*member.test.phases).zip(&mut work.phases) {
             let Evidence::Rows(rows) = evidence else { unreachable!("tests that are no rows were refused") };
             let (design, data, own) = phase.reducer.evaluated(rows, room).map_err(|error| phase.named(error))?;
             covariates.extend(own);
             let covariances = room.covariances.clone().unwrap_or_default();
-            sections.push(Section { entry: MotionValues::zero_motion((0, 0)), design, data, covariances, held });
+            sections.push(Section { entry: MotionValues::zero_motion((0, 0)), design, data, covariances, group_states });
         }
         let mean = self.law.mean_of(&covariates);
         let (mut first, mut before) = (0, last.map_or(0, |(_, states)| states));
@@ -110,11 +110,11 @@ impl RecordPoint {
             let own = self.reducer.phases()[at].own;
             let a = section.sensitivity();
             let mut entry = section.start(before, &a * mean.rows(first, own).insert_rows(own, a.ncols() - own, 0.0));
-            entry.spread(&(a.columns(0, own) * self.roots[0].rows(first, own)), held);
+            entry.add_noise(&(a.columns(0, own) * self.roots[0].rows(first, own)), group_states);
             if at == 0 {
                 self.groups(&mut entry, &a.columns(0, own).into_owned(), (member, last.map(|(member, _)| member)));
             } else {
-                self.inherit((&mut entry, &a), (at, member, held), work)?;
+                self.inherit((&mut entry, &a), (at, member, group_states), work)?;
             }
             section.entry = entry;
             (first, before) = (first + own, section.states());
@@ -130,18 +130,18 @@ impl RecordPoint {
         a: &DMatrix<f64>,
         (member, last): (&GroupedTest<'_>, Option<&GroupedTest<'_>>),
     ) {
-        let (p, held) = (self.law.root.nrows(), member.groups.len() * self.law.root.nrows());
+        let (p, group_states) = (self.law.root.nrows(), member.groups.len() * self.law.root.nrows());
         for (level, group) in member.groups.iter().enumerate() {
             let place = level * p;
             if last.is_some_and(|last| last.groups[level] == *group) {
                 entry.phi.view_mut((place, place), (p, p)).fill_with_identity();
-                entry.phi.view_mut((held, place), a.shape()).copy_from(a);
+                entry.phi.view_mut((group_states, place), a.shape()).copy_from(a);
                 continue;
             }
             let root = &self.roots[level + 1];
             let mut fresh = DMatrix::zeros(entry.phi.nrows(), root.ncols());
             fresh.rows_mut(place, p).copy_from(root);
-            fresh.rows_mut(held, a.nrows()).copy_from(&(a * root));
+            fresh.rows_mut(group_states, a.nrows()).copy_from(&(a * root));
             entry.noise += &fresh * fresh.transpose();
         }
     }
@@ -150,7 +150,7 @@ impl RecordPoint {
     fn inherit(
         &self,
         (entry, a): (&mut MotionValues, &DMatrix<f64>),
-        (at, member, held): (usize, &GroupedTest<'_>, usize),
+        (at, member, group_states): (usize, &GroupedTest<'_>, usize),
         work: &mut PhasedWork,
     ) -> Result<(), ReduceError> {
         let [before, phase] = [&self.reducer.phases()[at - 1], &self.reducer.phases()[at]];
@@ -158,10 +158,10 @@ impl RecordPoint {
         let inherited = phase.inherited(rows, &mut work.cells)?;
         let carried = a * &inherited.transition;
         for (state, &place) in before.reducer.preparer().order.place.iter().enumerate() {
-            entry.phi.view_mut((held, held + place), (a.nrows(), 1)).copy_from(&carried.column(state));
+            entry.phi.view_mut((group_states, group_states + place), (a.nrows(), 1)).copy_from(&carried.column(state));
         }
-        entry.phi.view_mut((0, 0), (held, held)).fill_with_identity();
-        let mut input = entry.input.rows_mut(held, a.nrows());
+        entry.phi.view_mut((0, 0), (group_states, group_states)).fill_with_identity();
+        let mut input = entry.input.rows_mut(group_states, a.nrows());
         input += a * &inherited.input;
         Ok(())
     }
@@ -170,7 +170,7 @@ impl RecordPoint {
 impl Section {
     /// Number of states at the end of the phase, including the group effects.
     fn states(&self) -> usize {
-        self.held + self.design.frame.n
+        self.group_states + self.design.frame.n
     }
 
     fn sensitivity(&self) -> DMatrix<f64> {
@@ -179,12 +179,12 @@ impl Section {
 
     /// The entry from `before` states, with φ = 0; `own`: the contribution of the mean.
     fn start(&self, before: usize, own: DVector<f64>) -> MotionValues {
-        let (held, n, r) = (self.held, self.design.frame.n, self.design.frame.r);
-        let mut entry = MotionValues::zero_motion((held + n, before));
-        entry.input.rows_mut(held, n).copy_from(&(own + DVector::from_column_slice(&self.data.start)));
+        let (group_states, n, r) = (self.group_states, self.design.frame.n, self.design.frame.r);
+        let mut entry = MotionValues::zero_motion((group_states + n, before));
+        entry.input.rows_mut(group_states, n).copy_from(&(own + DVector::from_column_slice(&self.data.start)));
         for i in 0..r {
             for j in 0..r {
-                entry.noise[(held + i, held + j)] = self.design.variance[i.max(j) * r + i.min(j)];
+                entry.noise[(group_states + i, group_states + j)] = self.design.variance[i.max(j) * r + i.min(j)];
             }
         }
         entry
@@ -257,12 +257,12 @@ impl TimeSteps<'_> {
 
     /// φ, Q and b of a transition; takes the inputs b from the section's data.
     fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
-        let (n, held) = (section.design.frame.n, section.held);
-        let mut motion = MotionValues::identity_motion(held + n);
-        motion.phi.view_mut((held, held), (n, n)).copy_from(&transition.dense_phi(n, |i| i));
-        motion.noise.view_mut((held, held), (n, n)).copy_from(&transition.dense_noise(n, |i| i));
+        let (n, group_states) = (section.design.frame.n, section.group_states);
+        let mut motion = MotionValues::identity_motion(group_states + n);
+        motion.phi.view_mut((group_states, group_states), (n, n)).copy_from(&transition.dense_phi(n, |i| i));
+        motion.noise.view_mut((group_states, group_states), (n, n)).copy_from(&transition.dense_noise(n, |i| i));
         for &state in &section.design.frame.driven {
-            motion.input[held + state as usize] = section.data.inputs[self.inputs];
+            motion.input[group_states + state as usize] = section.data.inputs[self.inputs];
             self.inputs += 1;
         }
         motion
@@ -297,7 +297,7 @@ impl Section {
     fn line(&self, (line, row): (usize, usize), (states, noise): (usize, Option<usize>)) -> LineValues {
         let (of, terms) = self.design.terms(line);
         let mut h = DVector::zeros(states);
-        of.iter().zip(terms).for_each(|(&state, &term)| h[self.held + state as usize] = term);
+        of.iter().zip(terms).for_each(|(&state, &term)| h[self.group_states + state as usize] = term);
         if let Some(place) = noise {
             h[self.states() + place] = 1.0;
         }
@@ -318,7 +318,7 @@ impl MotionValues {
     }
 
     /// Adds noise with the root `root` to the states from `first` on.
-    fn spread(&mut self, root: &DMatrix<f64>, first: usize) {
+    fn add_noise(&mut self, root: &DMatrix<f64>, first: usize) {
         let n = root.nrows();
         let mut noise = self.noise.view_mut((first, first), (n, n));
         noise += root * root.transpose();

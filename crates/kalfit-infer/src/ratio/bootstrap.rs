@@ -66,12 +66,12 @@ pub fn bootstrap_while(
     let regression_indices =
         regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let draw = Draw::new(null, reductions, &regression_indices);
-    let one = |b: usize| {
+    let compute_replicate = |b: usize| {
         let mut random = ChaCha8Rng::seed_from_u64(bootstrap.seed);
         random.set_stream(b as u64);
         ratio(null, alternative, &draw.ensemble(&mut random), &regression_indices)
     };
-    let found = replicates(bootstrap.replicates, one, goes_on)?;
+    let found = replicates(bootstrap.replicates, compute_replicate, goes_on)?;
     Some(BootstrapResult::of(&found, statistic))
 }
 
@@ -79,7 +79,7 @@ pub fn bootstrap_while(
 /// of the chunks.
 pub(crate) fn replicates<T: Send>(
     count: usize,
-    one: impl Fn(usize) -> T + Sync + Send,
+    compute_replicate: impl Fn(usize) -> T + Sync + Send,
     goes_on: GoesOn<'_>,
 ) -> Option<Vec<T>> {
     let chunk = 8 * rayon::current_num_threads();
@@ -89,7 +89,7 @@ pub(crate) fn replicates<T: Send>(
             return None;
         }
         let next = found.len()..count.min(found.len() + chunk);
-        found.par_extend(next.into_par_iter().map(&one));
+        found.par_extend(next.into_par_iter().map(&compute_replicate));
     }
     Some(found)
 }
@@ -143,8 +143,8 @@ pub(super) fn select_covariates(reductions: &Reductions, regression_indices: &[u
 /// A certified fit from the true values or, when that fails, from a start computed from the data.
 fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
-    let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
-    near.filter(|e| e.stop == Stop::Certified)
+    let from_truth = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
+    from_truth.filter(|e| e.stop == Stop::Certified)
         .or_else(|| fit(reductions, &structure, settings, &mut Silent).ok().filter(|e| e.stop == Stop::Certified))
 }
 

@@ -55,10 +55,10 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
     }
     let law = match boundary_cone {
         BoundaryCone::None => ReferenceLaw::chi_squared(degrees_of_freedom),
-        BoundaryCone::Unknown => bound(degrees_of_freedom),
+        BoundaryCone::Unknown => upper_bound_law(degrees_of_freedom),
         BoundaryCone::Lines(lines) => {
             let covariance = covariance_of(&lines, &wide, &information, outer.mean.jacobian().nrows());
-            mixture(&covariance, degrees_of_freedom)
+            mixture_law(&covariance, degrees_of_freedom)
         }
     };
     TangentCone { degrees_of_freedom, law, null_on_boundary }
@@ -189,7 +189,7 @@ fn covariance_of(lines: &[DVector<f64>], wide: &DMatrix<f64>, information: &DMat
 }
 
 /// The law of the likelihood ratio for half-spaces; `covariance`: of the estimates of w'D.
-fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw {
+fn mixture_law(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw {
     // a half-space without information does not affect the statistic
     let known: Vec<usize> = (0..covariance.nrows()).filter(|&k| covariance[(k, k)] > 0.0).collect();
     let m = known.len().min(degrees_of_freedom);
@@ -197,7 +197,7 @@ fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw
         return ReferenceLaw::chi_squared(degrees_of_freedom);
     }
     if m > MAX_HALF_SPACES || m < known.len() {
-        return bound(degrees_of_freedom);
+        return upper_bound_law(degrees_of_freedom);
     }
     let correlation = DMatrix::from_fn(m, m, |a, b| {
         let (a, b) = (known[a], known[b]);
@@ -213,7 +213,7 @@ fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw
 }
 
 /// ½χ²_{d-1} + ½χ²_d: no cone other than the whole space gives a larger tail (Perlman).
-fn bound(degrees_of_freedom: usize) -> ReferenceLaw {
+fn upper_bound_law(degrees_of_freedom: usize) -> ReferenceLaw {
     let half = |d: usize| Component { degrees_of_freedom: d, weight: 0.5 };
     let components = vec![half(degrees_of_freedom.saturating_sub(1)), half(degrees_of_freedom)];
     ReferenceLaw { independent: components.clone(), components, is_bound: true }
@@ -266,14 +266,14 @@ fn drawn_weights(r: &DMatrix<f64>) -> Vec<f64> {
 fn positive_entries(metric: &DMatrix<f64>, u: &DVector<f64>) -> usize {
     let mut x = u.map(|v| v.max(0.0));
     for _ in 0..200 {
-        let mut moved = 0.0_f64;
+        let mut largest_change = 0.0_f64;
         for i in 0..x.len() {
             let gradient: f64 = (0..x.len()).map(|k| metric[(i, k)] * (x[k] - u[k])).sum();
             let next = (x[i] - gradient / metric[(i, i)]).max(0.0);
-            moved = moved.max((next - x[i]).abs());
+            largest_change = largest_change.max((next - x[i]).abs());
             x[i] = next;
         }
-        if moved < 1e-9 {
+        if largest_change < 1e-9 {
             break;
         }
     }

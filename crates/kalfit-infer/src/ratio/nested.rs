@@ -88,15 +88,15 @@ fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), N
     if relative.amax() > RELATIVE_TOLERANCE || map.relative_residual(&sigma, &residual) > RELATIVE_TOLERANCE {
         return Err(NotNested::Covariance);
     }
-    let inside = inner.covariance.free_directions(&inner.covariance.chart(root)).dense();
-    let around = map.free_directions(&map.chart(&copy)).dense();
+    let inner_directions = inner.covariance.free_directions(&inner.covariance.chart(root)).dense();
+    let outer_directions = map.free_directions(&map.chart(&copy)).dense();
     let scaled = |m: DMatrix<f64>| {
         let units: Vec<f64> = map.elements.all().map(|(i, j)| size[i] * size[j]).collect();
         DMatrix::from_fn(m.nrows(), m.ncols(), |k, c| m[(k, c)] / units[k])
     };
-    let (inside, around) = (scaled(inside), scaled(around));
+    let (inner_directions, outer_directions) = (scaled(inner_directions), scaled(outer_directions));
     let outside =
-        &inside - &around * symmetric::pseudo_inverse(&(around.transpose() * &around)) * around.transpose() * &inside;
-    let worst = (0..inside.ncols()).map(|c| outside.column(c).norm() / inside.column(c).norm().max(f64::MIN_POSITIVE));
+        &inner_directions - &outer_directions * symmetric::pseudo_inverse(&(outer_directions.transpose() * &outer_directions)) * outer_directions.transpose() * &inner_directions;
+    let worst = (0..inner_directions.ncols()).map(|c| outside.column(c).norm() / inner_directions.column(c).norm().max(f64::MIN_POSITIVE));
     if worst.fold(0.0, f64::max) > 1e-6 { Err(NotNested::Covariance) } else { Ok(()) }
 }

@@ -89,11 +89,11 @@ pub fn restricted(
     let (null, wide) = (ComparedModel::new(null), ComparedModel::new(wide));
     let mut targets: Vec<Option<Target>> = vec![None; wide.slots.len()];
     for index in 0..wide.model.parameters.len() {
-        let mut last: Option<&[Label]> = None;
+        let mut previous_labels: Option<&[Label]> = None;
         let rows = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells);
         for texts in rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
             // most rows have the same labels as the row before
-            if last.replace(texts) != Some(texts) {
+            if previous_labels.replace(texts) != Some(texts) {
                 record_target(index, texts, (&null, &wide), &mut targets)?;
             }
         }

@@ -22,15 +22,15 @@ use kalfit_model::{Evidence, PhasedTest};
 use kalfit_record::{AlongRecord, FitRecord, TestRecord};
 
 /// Largest number of tests that are shown one by one.
-const MOST_TESTS: usize = 20;
+const MAX_TESTS: usize = 20;
 /// Largest number of values of a series.
-const MOST_VALUES: usize = 400;
+const MAX_VALUES: usize = 400;
 /// Smallest number of values that a series of a longer record is thinned to.
-const LEAST_VALUES: usize = 100;
+const MIN_VALUES: usize = 100;
 /// Approximate largest number of values in all series together.
-const MOST_NUMBERS: usize = 240_000;
+const MAX_NUMBERS: usize = 240_000;
 /// Largest number of innovations in a quantile plot.
-const MOST_QUANTILES: usize = 120;
+const MAX_QUANTILES: usize = 120;
 
 /// Estimates along the records of the tests of a fit. `goes_on` is given the number of tests done, and returns false to
 /// stop.
@@ -52,33 +52,33 @@ pub fn along(
         Ok((curves, notes)) => (record.allan, record.allan_notes) = (curves, notes),
         Err(error) => record.notes.push(format!("there are no Allan deviations: {error}")),
     }
-    if let Err(error) = one_by_one((model, alpha, population), tests, fit, (&mut record, goes_on)) {
+    if let Err(error) = add_tests((model, alpha, population), tests, fit, (&mut record, goes_on)) {
         record.notes.push(format!("records are not shown test by test: {error}"));
     }
     record
 }
 
 /// Adds the estimates along the least probable tests to the record.
-fn one_by_one(
+fn add_tests(
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
     fit: &FitRecord,
     (record, goes_on): (&mut AlongRecord, &mut dyn FnMut(usize) -> bool),
 ) -> Result<(), ApplyError> {
     let (most, values) = bounds(model);
-    let mut chosen = chosen(tests, fit);
-    if chosen.is_empty() {
+    let mut tests_by_p_value = tests_by_p_value(tests, fit);
+    if tests_by_p_value.is_empty() {
         record.notes.push("records are not shown test by test: no test has rows of data".to_owned());
         return Ok(());
     }
-    chosen.truncate(most);
+    tests_by_p_value.truncate(most);
     // the estimates of a test in groups depend on all tests
     let copies: Vec<PhasedTest>;
     let (own, places): (&[PhasedTest], Vec<usize>) = if model.levels.is_empty() {
-        copies = chosen.iter().map(|&test| tests[test].clone()).collect();
-        (&copies, (0..chosen.len()).collect())
+        copies = tests_by_p_value.iter().map(|&test| tests[test].clone()).collect();
+        (&copies, (0..tests_by_p_value.len()).collect())
     } else {
-        (tests, chosen)
+        (tests, tests_by_p_value)
     };
     let applied = Applied::new(model, alpha, population, own)?;
     let filter = InnovationFilter::new(model, alpha, &population.together(model.dimension()))?;
@@ -97,26 +97,26 @@ fn one_by_one(
 fn bounds(model: &PhasedModel) -> (usize, usize) {
     let of = |phase: &kalfit_model::Phase| 1 + 2 * phase.model.states.len() + 6 * phase.model.measurements.len();
     let numbers = model.phases.iter().map(of).sum::<usize>().max(1);
-    let tests = (MOST_NUMBERS / (numbers * LEAST_VALUES)).clamp(1, MOST_TESTS);
-    (tests, (MOST_NUMBERS / (numbers * tests)).clamp(LEAST_VALUES, MOST_VALUES))
+    let tests = (MAX_NUMBERS / (numbers * MIN_VALUES)).clamp(1, MAX_TESTS);
+    (tests, (MAX_NUMBERS / (numbers * tests)).clamp(MIN_VALUES, MAX_VALUES))
 }
 
 /// Indices of the tests that are given by rows, by ascending p-value, then by id.
-fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
-    let of: std::collections::HashMap<&str, f64> = fit.tests.iter().map(|test| (test.id, least(test))).collect();
+fn tests_by_p_value(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
+    let of: std::collections::HashMap<&str, f64> = fit.tests.iter().map(|test| (test.id, smallest_p_value(test))).collect();
     let p_value = |test: usize| of.get(tests[test].id.as_str()).copied().unwrap_or(2.0);
     let all_rows = |test: &PhasedTest| {
         let mut phases = test.phases.iter();
         phases.all(|evidence| matches!(evidence, Evidence::Rows(_)))
     };
-    let mut chosen: Vec<usize> = (0..tests.len()).filter(|&test| all_rows(&tests[test])).collect();
-    chosen.sort_by(|&a, &b| p_value(a).total_cmp(&p_value(b)).then_with(|| tests[a].id.cmp(&tests[b].id)));
-    chosen
+    let mut tests_by_p_value: Vec<usize> = (0..tests.len()).filter(|&test| all_rows(&tests[test])).collect();
+    tests_by_p_value.sort_by(|&a, &b| p_value(a).total_cmp(&p_value(b)).then_with(|| tests[a].id.cmp(&tests[b].id)));
+    tests_by_p_value
 }
 
 /// Smallest of the p-values of a test for the distance, for the size of the innovations, and for the whiteness of the
 /// innovations; 2 where the test has no p-value.
-fn least(test: TestRecord<'_>) -> f64 {
+fn smallest_p_value(test: TestRecord<'_>) -> f64 {
     let seen = test.innovations;
     let white = seen.and_then(|own| own.whiteness.as_ref()).map(|own| own.p_value);
     let all = [test.p_value, seen.and_then(|own| own.nis_p_value), white];

@@ -3,7 +3,7 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Number of largest values that are included in addition to the values at equal distances.
-const MOST_LARGEST: usize = 20;
+const MAX_LARGEST: usize = 20;
 
 /// Indices of about `most` of n values at equal distances, including the first and the last.
 pub(super) fn thinned(n: usize, most: usize) -> Vec<usize> {
@@ -20,7 +20,7 @@ pub(super) fn with_largest(values: &[f64], most: usize) -> Vec<usize> {
     let mut places = thinned(values.len(), most);
     if places.len() < values.len() {
         let mut order: Vec<usize> = (0..values.len()).collect();
-        let far = MOST_LARGEST.min(values.len());
+        let far = MAX_LARGEST.min(values.len());
         let larger = |i: &usize, k: &usize| values[*k].abs().total_cmp(&values[*i].abs()).then(i.cmp(k));
         order.select_nth_unstable_by(far - 1, larger);
         places.extend(&order[..far]);

@@ -1,6 +1,6 @@
 //! The results along the record of one test: measured and predicted values, innovations, smoothed states.
 
-use crate::along::MOST_QUANTILES;
+use crate::along::MAX_QUANTILES;
 use crate::along::thin::{quantiles, thinned, with_largest};
 use kalfit_apply::apply::{Applied, ApplyError, PhaseStates, StateKind};
 use kalfit_filter::innovations::{Innovation, InnovationFilter};
@@ -69,9 +69,9 @@ impl RecordEvaluator<'_> {
     }
 
     fn measurement(&self, name: &str, values: &[MeasuredValue], seen: &[&Innovation]) -> MeasurementAlong {
-        let off =
+        let standardised_residual =
             |one: &MeasuredValue| if one.std_dev > 0.0 { (one.measured - one.predicted) / one.std_dev } else { 0.0 };
-        let included = with_largest(&values.iter().map(off).collect::<Vec<f64>>(), self.values);
+        let included = with_largest(&values.iter().map(standardised_residual).collect::<Vec<f64>>(), self.values);
         let of = |own: &dyn Fn(&MeasuredValue) -> f64| included.iter().map(|&place| own(&values[place])).collect();
         let sizes: Vec<f64> = seen.iter().map(|one| one.standardised).collect();
         let shown = with_largest(&sizes, self.values);
@@ -85,7 +85,7 @@ impl RecordEvaluator<'_> {
             innovations: sizes.len(),
             innovations_at: shown.iter().map(|&place| time(seen[place].time)).collect(),
             standardised: shown.iter().map(|&place| sizes[place]).collect(),
-            quantiles: quantiles(&sizes, MOST_QUANTILES),
+            quantiles: quantiles(&sizes, MAX_QUANTILES),
         }
     }
 

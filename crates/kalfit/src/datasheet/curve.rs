@@ -104,7 +104,7 @@ impl CurveRequest<'_> {
         let pieces: Option<Vec<Vec<Vec<f64>>>> =
             records.map(|records| records.own.iter().map(|record| stretches(record, length)).collect());
         let longest = |pieces: &Vec<Vec<Vec<f64>>>| pieces.iter().flatten().map(Vec::len).max().unwrap_or(0);
-        let most = pieces.as_ref().map_or(MOST_SPAN_VALUES, |pieces| (longest(pieces) / 2).min(MOST_SPAN_VALUES));
+        let max_span = pieces.as_ref().map_or(MOST_SPAN_VALUES, |pieces| (longest(pieces) / 2).min(MOST_SPAN_VALUES));
         curve.tests = pieces.as_ref().map(|own| own.iter().filter(|test| test.iter().any(|one| one.len() > 1)).count());
         let pieces: Option<Vec<Vec<f64>>> = pieces.map(|pieces| pieces.into_iter().flatten().collect());
         let filter = match self.filter(phase, step, &mut curve.zero) {
@@ -119,7 +119,7 @@ impl CurveRequest<'_> {
         if filter.as_ref().is_some_and(|filter| filter.start.is_none()) {
             curve.notes.push("the model has no curve: its phase inherits its start from the phase before".to_owned());
         }
-        for values in spans(most) {
+        for values in spans(max_span) {
             let of_model = filter.as_ref().zip(place).and_then(|(filter, place)| variance(filter, place, values));
             let of_data = pieces.as_ref().and_then(|pieces| estimate(pieces, values));
             let root = |variance: f64| unit.factor * variance.sqrt();
@@ -156,20 +156,20 @@ impl CurveRequest<'_> {
 /// Names of the numeric columns in equations of measurements, in derivatives without a state and in means, except
 /// columns that motion, noise or `where` also depend on.
 fn inputs(model: &Model) -> Vec<String> {
-    let is_free = |site: &Site| {
+    let is_input_site = |site: &Site| {
         matches!(
             site,
             Site::Input(_) | Site::Offset(_) | Site::InitialMean(_) | Site::Coefficient { .. } | Site::Constant(_)
         )
     };
     let all =
-        model.expressions().into_iter().filter(|(site, _)| is_free(site) || site.is_of_filter() || site.is_variance());
-    let (free, held): (Vec<_>, Vec<_>) = all.partition(|(site, _)| is_free(site));
+        model.expressions().into_iter().filter(|(site, _)| is_input_site(site) || site.is_of_filter() || site.is_variance());
+    let (input_sites, other_sites): (Vec<_>, Vec<_>) = all.partition(|(site, _)| is_input_site(site));
     let reads = |all: &[(Site, &Expression)], column: usize| {
         let own = |part: &Expression| matches!(part, Expression::Column(other) if *other == column);
         all.iter().any(|(_, expression)| expression.any(&mut |part| own(part)))
     };
     let regressed = |column: usize| model.mean.regression.iter().any(|regression| regression.column == column);
-    let is_input = |&column: &usize| (reads(&free, column) || regressed(column)) && !reads(&held, column);
+    let is_input = |&column: &usize| (reads(&input_sites, column) || regressed(column)) && !reads(&other_sites, column);
     (0..model.columns.len()).filter(is_input).map(|column| model.columns[column].name.clone()).collect()
 }

@@ -89,18 +89,18 @@ impl Reader<'_> {
         if !varies_with.is_empty() {
             return Ok(ShownFigure { varies_with, ..ShownFigure::default() });
         }
-        let Some(value) = self.at_alpha(self.alpha, of, step, form)? else { return Ok(ShownFigure::default()) };
+        let Some(value) = self.value_at(self.alpha, of, step, form)? else { return Ok(ShownFigure::default()) };
         let mut follows = Vec::new();
         for index in self.parameters(of) {
             let own = self.value(index)?;
             let moved = own + if own == 0.0 { 1.0 } else { 0.3 * own.abs() };
-            let there = self.at_alpha(&self.with(index, moved), of, step, form)?;
+            let there = self.value_at(&self.alpha_with(index, moved), of, step, form)?;
             if there.is_none_or(|there| (there - value).abs() > 1e-9 * value.abs()) {
                 follows.push((index, there.is_none_or(|there| there > value)));
             }
         }
         let interval = match follows.as_slice() {
-            [(only, rises)] => self.interval(*only, *rises, &|alpha| self.at_alpha(alpha, of, step, form))?,
+            [(only, rises)] => self.interval(*only, *rises, &|alpha| self.value_at(alpha, of, step, form))?,
             _ => None,
         };
         let from = follows.iter().map(|(index, _)| self.name(*index)).collect();
@@ -138,7 +138,7 @@ impl Reader<'_> {
         all
     }
 
-    fn at_alpha(
+    fn value_at(
         &self,
         alpha: &Alpha,
         of: &[&Expression],
@@ -170,7 +170,7 @@ impl Reader<'_> {
         Ok(self.number(&Expression::Parameter(index), None)?.unwrap_or(0.0))
     }
 
-    fn with(&self, index: usize, value: f64) -> Alpha {
+    fn alpha_with(&self, index: usize, value: f64) -> Alpha {
         let mut alpha = self.alpha.clone();
         alpha.values[index] = Level::Common(value);
         alpha
@@ -204,7 +204,7 @@ impl Reader<'_> {
         for (end, found) in ends.into_iter().zip(&mut found) {
             let Some(end) = end else { continue };
             let end = if parameter.positive { end.max(0.0) } else { end };
-            *found = there(&self.with(index, end))?;
+            *found = there(&self.alpha_with(index, end))?;
         }
         if !rises {
             found.reverse();

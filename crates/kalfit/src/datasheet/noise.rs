@@ -20,31 +20,31 @@ struct NoiseMeaning {
     definition: &'static str,
 }
 
-const NOISE: NoiseMeaning = NoiseMeaning {
+const MEASUREMENT_NOISE: NoiseMeaning = NoiseMeaning {
     name: "measurement noise",
     definition: "standard deviation of the white noise of one measured value",
 };
-const ANGLE: NoiseMeaning = NoiseMeaning {
+const ANGLE_WALK: NoiseMeaning = NoiseMeaning {
     name: "angle random walk",
     definition: "N: standard deviation of the integrated white noise of the rate, per square root of time; for a measurement, its standard deviation times the square root of the step",
 };
-const VELOCITY: NoiseMeaning = NoiseMeaning {
+const VELOCITY_WALK: NoiseMeaning = NoiseMeaning {
     name: "velocity random walk",
     definition: "N: standard deviation of the integrated white noise of the acceleration, per square root of time; for a measurement, its standard deviation times the square root of the step",
 };
-const WHITE: NoiseMeaning = NoiseMeaning {
+const WHITE_NOISE: NoiseMeaning = NoiseMeaning {
     name: "white noise",
     definition: "N: standard deviation of one measured value times the square root of the step, which is that of its integral per square root of time",
 };
-const RATE: NoiseMeaning = NoiseMeaning {
+const RATE_WALK: NoiseMeaning = NoiseMeaning {
     name: "rate random walk",
     definition: "K: standard deviation that the rate gains as a random walk, per square root of time",
 };
-const ACCELERATION: NoiseMeaning = NoiseMeaning {
+const ACCELERATION_WALK: NoiseMeaning = NoiseMeaning {
     name: "acceleration random walk",
     definition: "K: standard deviation that the acceleration gains as a random walk, per square root of time",
 };
-const WALK: NoiseMeaning = NoiseMeaning {
+const RANDOM_WALK: NoiseMeaning = NoiseMeaning {
     name: "random walk",
     definition: "standard deviation that the driving noise adds to the state, per square root of time (of the number of steps, if rows have no times)",
 };
@@ -73,15 +73,15 @@ impl<'a> EntryCollector<'a> {
             let (factor, label) = unit.white(model.clock.unit.as_deref());
             (
                 match unit.quantity {
-                    UnitQuantity::Rate => &ANGLE,
-                    UnitQuantity::Acceleration => &VELOCITY,
-                    _ => &WHITE,
+                    UnitQuantity::Rate => &ANGLE_WALK,
+                    UnitQuantity::Acceleration => &VELOCITY_WALK,
+                    _ => &WHITE_NOISE,
                 },
                 factor,
                 label,
             )
         } else {
-            (&NOISE, unit.factor, unit.label.clone())
+            (&MEASUREMENT_NOISE, unit.factor, unit.label.clone())
         };
         let figures = match (timed, step) {
             (true, None) => vec![ShownFigure { varies_with: vec!["step".to_owned()], ..ShownFigure::default() }],
@@ -105,7 +105,7 @@ impl<'a> EntryCollector<'a> {
                     && is_zero(&derivative.constant)
                     && (state.initial == Initial::Stationary || !is_zero(noise_variance))
                 {
-                    return self.pair(
+                    return self.add_gauss_markov(
                         i,
                         &[decay, noise_variance],
                         step,
@@ -115,7 +115,7 @@ impl<'a> EntryCollector<'a> {
                 if let Some((damping, noise)) = self.second_order(i, derivative) {
                     let own = [damping, noise];
                     let beta = |v: &[f64]| -0.5 * v[0];
-                    return self.pair(i, &own, step, (&|v| 1.0 / beta(v), &|v| (0.25 * v[1] / beta(v).powi(3)).sqrt()));
+                    return self.add_gauss_markov(i, &own, step, (&|v| 1.0 / beta(v), &|v| (0.25 * v[1] / beta(v).powi(3)).sqrt()));
                 }
                 let hidden = i > 0 && self.is_second_order(i - 1);
                 if hidden || is_zero(noise_variance) {
@@ -130,15 +130,15 @@ impl<'a> EntryCollector<'a> {
                 }
                 let timed = model.clock.time.is_some();
                 let length = if timed { step } else { Some(1.0) };
-                if let [(own, keep)] = next.terms.as_slice()
+                if let [(own, decay_factor)] = next.terms.as_slice()
                     && *own == i
                     && is_zero(&next.constant)
-                    && self.reader.number(keep, step)?.is_some_and(|keep| keep > 0.0 && keep < 1.0)
+                    && self.reader.number(decay_factor, step)?.is_some_and(|decay_factor| decay_factor > 0.0 && decay_factor < 1.0)
                 {
                     let length = length.unwrap_or(f64::NAN);
                     let tau = |v: &[f64]| -length / v[0].ln();
                     let sigma = |v: &[f64]| (v[1] / (1.0 - v[0] * v[0])).sqrt();
-                    return self.pair(i, &[keep, noise_variance], step, (&tau, &sigma));
+                    return self.add_gauss_markov(i, &[decay_factor, noise_variance], step, (&tau, &sigma));
                 }
                 match length {
                     Some(length) => self.walk(i, noise_variance, step, &|v| (v[0] / length).sqrt()),
@@ -152,7 +152,7 @@ impl<'a> EntryCollector<'a> {
         }
     }
 
-    fn pair(
+    fn add_gauss_markov(
         &mut self,
         i: usize,
         of: &[&Expression],
@@ -192,11 +192,11 @@ impl<'a> EntryCollector<'a> {
             figure.interval = figure.interval.map(|ends| ends.map(|end| end.map(|end| factor * end)));
         }
         let meaning = match unit.quantity {
-            UnitQuantity::Rate => &RATE,
-            UnitQuantity::Acceleration => &ACCELERATION,
-            UnitQuantity::Angle => &ANGLE,
-            UnitQuantity::Velocity => &VELOCITY,
-            _ => &WALK,
+            UnitQuantity::Rate => &RATE_WALK,
+            UnitQuantity::Acceleration => &ACCELERATION_WALK,
+            UnitQuantity::Angle => &ANGLE_WALK,
+            UnitQuantity::Velocity => &VELOCITY_WALK,
+            _ => &RANDOM_WALK,
         };
         self.add(meaning, ("state", &model.states[i].name.clone()), &label, figures);
     }

@@ -32,7 +32,7 @@ pub(super) fn entries(
             let i = block * model.dimension() + i;
             population.covariance[(i, i)].max(0.0).sqrt()
         };
-        entries.extend((0..blocks).rev().filter_map(|block| own.spread(deviation(block), (block, blocks))));
+        entries.extend((0..blocks).rev().filter_map(|block| own.deviation_entry(deviation(block), (block, blocks))));
     }
     entries
 }
@@ -88,7 +88,7 @@ impl StateEntries<'_> {
     }
 
     /// Entry of the standard deviation in one of the `blocks` blocks of Σ; `None` where the state does not vary there.
-    fn spread(&self, value: f64, (block, blocks): (usize, usize)) -> Option<EntryRecord> {
+    fn deviation_entry(&self, value: f64, (block, blocks): (usize, usize)) -> Option<EntryRecord> {
         let level = match (blocks, block) {
             (1, _) => None,
             (_, 0) => Some(TESTS.to_owned()),

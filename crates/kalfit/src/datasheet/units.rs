@@ -53,7 +53,7 @@ impl ShownUnit {
             Some(ShownUnit { quantity, factor, label: Some(label.to_owned()) })
         };
         let other = || ShownUnit { quantity: UnitQuantity::Other, factor: 1.0, label: own.map(str::to_owned) };
-        own.and_then(known).or_else(|| own.and_then(per)).unwrap_or_else(other)
+        own.and_then(known).or_else(|| own.and_then(rate_per_quantity)).unwrap_or_else(other)
     }
 
     /// Factor and label of white noise in this unit, integrated over time, for a standard deviation of one and steps of
@@ -64,25 +64,25 @@ impl ShownUnit {
             (UnitQuantity::Acceleration, Some(hours)) => {
                 (self.factor * 1e-6 * GRAVITY * 3600.0 * hours.sqrt(), Some("m/s/sqrt(h)".to_owned()))
             }
-            _ => (self.factor, self.with("*", time)),
+            _ => (self.factor, self.density_label("*", time)),
         }
     }
 
     /// Factor and label of the density of noise that drives a state in this unit.
     pub(super) fn walk(&self, time: Option<&str>) -> (f64, Option<String>) {
         match (self.quantity, hours(time)) {
-            (UnitQuantity::Other | UnitQuantity::Part, _) | (_, None) => (self.factor, self.with("/", time)),
-            (_, Some(hours)) => (self.factor / hours.sqrt(), self.with("/", Some("h"))),
+            (UnitQuantity::Other | UnitQuantity::Part, _) | (_, None) => (self.factor, self.density_label("/", time)),
+            (_, Some(hours)) => (self.factor / hours.sqrt(), self.density_label("/", Some("h"))),
         }
     }
 
-    fn with(&self, sign: &str, time: Option<&str>) -> Option<String> {
+    fn density_label(&self, sign: &str, time: Option<&str>) -> Option<String> {
         Some(format!("{}{sign}sqrt({})", self.label.as_ref()?, time?))
     }
 }
 
 /// Unit of a rate or an acceleration per something else, such as `deg/s/g`.
-fn per(label: &str) -> Option<ShownUnit> {
+fn rate_per_quantity(label: &str) -> Option<ShownUnit> {
     let rates = ["deg/h", "deg/s", "rad/s", "m/s^2", "mg", "ug", "g"];
     let (own, rest) = rates.iter().find_map(|own| Some((*own, label.strip_prefix(own)?)))?;
     let unit = ShownUnit::shown(Some(own));

@@ -42,7 +42,7 @@ pub enum Next {
 /// # Errors
 /// A model that cannot be fitted by sums.
 pub fn first(model: &PhasedModel, settings: &estimate::Settings) -> Result<Vec<Asked>, ShardError> {
-    refuse(model, settings)?;
+    refuse_model(model, settings)?;
     let slots = slots(model);
     let question = if slots.is_empty() { Question::Survey } else { Question::Opening };
     Ok(vec![Asked { values: vec![0.0; slots.len()], question }])
@@ -78,8 +78,8 @@ pub fn go_on(
         tests: TestsChoice::None,
     };
     let found = match slots.is_empty() {
-        true => with_known(model, (asks, choices), (&answers, &slots), provenance, &mut stopping),
-        false => with_free(model, (asks, choices), (&answers, &slots, &opening_sum), provenance, &mut stopping),
+        true => fit_known_alpha(model, (asks, choices), (&answers, &slots), provenance, &mut stopping),
+        false => fit_free_alpha(model, (asks, choices), (&answers, &slots, &opening_sum), provenance, &mut stopping),
     };
     let wanted = answers.wanted();
     if !wanted.is_empty() {
@@ -90,7 +90,7 @@ pub fn go_on(
     Ok(Next::Ends(Box::new(record)))
 }
 
-fn with_known(
+fn fit_known_alpha(
     model: &PhasedModel,
     (asks, choices): (&Asks, Choices),
     (answers, slots): (&Arc<Answers>, &Slots),
@@ -106,7 +106,7 @@ fn with_known(
     Ok(FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance))
 }
 
-fn with_free(
+fn fit_free_alpha(
     model: &PhasedModel,
     (asks, choices): (&Asks, Choices),
     (answers, slots, opening_sum): (&Arc<Answers>, &Slots, &[f64]),
@@ -135,7 +135,7 @@ fn slots(model: &PhasedModel) -> Slots {
 }
 
 /// Refuses models that cannot be fitted by sums.
-pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Result<(), ShardError> {
+pub(super) fn refuse_model(model: &PhasedModel, settings: &estimate::Settings) -> Result<(), ShardError> {
     let free = |value: Value| matches!(value, Value::Free { .. });
     let parameters = &model.shared().parameters;
     if let Some(per_level) = parameters.iter().find(|p| p.per.is_some() && free(p.value)) {

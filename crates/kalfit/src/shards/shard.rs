@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::dynamic;
 use crate::shards::error::ShardError;
-use crate::shards::search::refuse;
+use crate::shards::search::refuse_model;
 use kalfit_estimate::{Silent, Structure, Summed};
 use kalfit_filter::reduce::{FilteredPhases, PhasedReducer, ReduceError, Reductions, grouping};
 use kalfit_filter::score::{Batching, Gradient, PhasedScorer};
@@ -56,7 +56,7 @@ impl Shard {
         mut tests: Vec<PhasedTest>,
         settings: Settings,
     ) -> Result<Shard, ShardError> {
-        refuse(&model, &settings.inner)?;
+        refuse_model(&model, &settings.inner)?;
         let slots = Slots::in_phases(&model, labels, &tests);
         let is_rows = |test: &PhasedTest| test.phases.iter().all(|evidence| matches!(evidence, Evidence::Rows(_)));
         if let (Some(slot), Some(test)) = (slots.slots().first(), tests.iter().find(|test| !is_rows(test))) {
@@ -152,7 +152,7 @@ impl Shard {
     ) -> Result<Answer, ShardError> {
         let law = summed.law(law).ok_or(ShardError::Question { what: "the number of states" })?;
         if let Some(scores) = self.scale.as_ref().and_then(|scale| scale.scores(values[0], &summed.reductions, &law)) {
-            return Ok(total(&scores, values.len()));
+            return Ok(finite_sum(&scores, values.len()));
         }
         let alpha = self.slots.alpha(self.model.shared(), values);
         let found = || {
@@ -166,12 +166,12 @@ impl Shard {
             Ok::<_, ReduceError>(scores)
         };
         let Ok(scores) = found() else { return Ok(None) };
-        Ok(total(&scores, values.len()))
+        Ok(finite_sum(&scores, values.len()))
     }
 }
 
 /// The sum of the scores over tests (`values` numbers); `None` where a component is not finite.
-fn total(scores: &[Gradient], values: usize) -> Answer {
+fn finite_sum(scores: &[Gradient], values: usize) -> Answer {
     let mut sum = vec![0.0; values];
     scores.iter().flatten().for_each(|&(slot, bar)| sum[slot] += bar);
     sum.iter().all(|x| x.is_finite()).then_some(sum)

@@ -38,18 +38,18 @@ impl MotionPlan {
         }
     }
 
-    /// Calls `show(slot, ∂ℓ/∂u)` for the inputs of one step, for some slots more than once: the parts add up. `flows`
+    /// Calls `add_adjoint(slot, ∂ℓ/∂u)` for the inputs of one step, for some slots more than once: the parts add up. `flows`
     /// may be empty when all motion is discrete.
     pub(crate) fn drive_inputs(
         &self,
         input_bar: &[f64],
         flows: &[f64],
-        mut show: impl FnMut(usize, f64) -> Result<(), Box<Fault>>,
+        mut add_adjoint: impl FnMut(usize, f64) -> Result<(), Box<Fault>>,
     ) -> Result<(), Box<Fault>> {
         for (drive, bar) in self.drives.iter().zip(input_bar) {
             match drive {
-                InputSource::Slot(slot) => show(*slot, *bar)?,
-                InputSource::Flow(terms) => terms.iter().try_for_each(|&(at, slot)| show(slot, bar * flows[at]))?,
+                InputSource::Slot(slot) => add_adjoint(*slot, *bar)?,
+                InputSource::Flow(terms) => terms.iter().try_for_each(|&(at, slot)| add_adjoint(slot, bar * flows[at]))?,
             }
         }
         Ok(())
@@ -115,9 +115,9 @@ pub(super) fn component_backward(
     if let ([phi, gamma, noise], true) = (bars, m == 1) {
         let slots = [&component.rates, &component.noise].map(|terms| terms.first().map(|&(.., slot)| slot));
         let [f, q] = slots.map(|slot| slot.map_or(0.0, |slot| step.values[slot]));
-        let found = scalar_adjoint(f, q, step.dt, [*phi, *gamma, *noise]);
-        slots.iter().zip(found).for_each(|(slot, bar)| slot.iter().for_each(|&slot| out[slot] += bar));
-        return if found.iter().all(|bar| bar.is_finite()) { Ok(()) } else { Err(fault()) };
+        let adjoints = scalar_adjoint(f, q, step.dt, [*phi, *gamma, *noise]);
+        slots.iter().zip(adjoints).for_each(|(slot, bar)| slot.iter().for_each(|&slot| out[slot] += bar));
+        return if adjoints.iter().all(|bar| bar.is_finite()) { Ok(()) } else { Err(fault()) };
     }
     let (f, q) = matrices(m, [&component.rates, &component.noise], |slot| step.values[slot]);
     let (phi, rest) = bars.split_at(m * m);

@@ -62,7 +62,7 @@ impl MotionColumns {
 
 impl<'a> SlotValues<'a> {
     /// The table in which each coefficient has one value on all transitions.
-    fn steady(values: &[f64]) -> SlotValues<'_> {
+    fn without_columns(values: &[f64]) -> SlotValues<'_> {
         SlotValues { fixed: values, columns: Vec::new() }
     }
 
@@ -82,7 +82,7 @@ impl<'a> SlotValues<'a> {
         }
     }
 
-    pub(super) fn one(&self, slot: usize, place: usize) -> f64 {
+    pub(super) fn number_at(&self, slot: usize, place: usize) -> f64 {
         self.column(slot).map_or(self.fixed[slot], |column| column[place])
     }
 
@@ -92,7 +92,7 @@ impl<'a> SlotValues<'a> {
     }
 
     #[inline(always)]
-    pub(super) fn some<T: Lanes>(&self, slot: Option<usize>, place: usize) -> T {
+    pub(super) fn lanes_or_zero<T: Lanes>(&self, slot: Option<usize>, place: usize) -> T {
         match slot {
             Some(slot) => self.lanes(slot, place),
             None => T::splat(0.0),
@@ -133,7 +133,7 @@ impl MotionPlan {
 
     /// Computes φ and Q of one transition of length `dt`; true where all numbers are finite.
     pub(super) fn fill_one(&self, dynamics: &Dynamics, values: &[f64], dt: f64, filled: &mut Filled) -> bool {
-        let (Filled { step, flows, phi, q }, values) = (filled, SlotValues::steady(values));
+        let (Filled { step, flows, phi, q }, values) = (filled, SlotValues::without_columns(values));
         for (column, numbers) in [(&mut *flows, self.flow_len), (&mut *phi, self.phi.len()), (&mut *q, self.q.len())] {
             column.resize(numbers, 0.0);
         }
@@ -177,11 +177,11 @@ fn fill_coupled(
             own.resize(3 * m * m, 0.0);
             (0..m).for_each(|i| own[i * m + i] = 1.0);
         } else {
-            let bits = component.slots().map(|slot| values.one(slot, place)).chain([steps.dt[place]]);
+            let bits = component.slots().map(|slot| values.number_at(slot, place)).chain([steps.dt[place]]);
             let before = *known.entry(bits.map(f64::to_bits).collect::<Vec<u64>>()).or_insert(place);
             if before < place {
                 own.extend((0..3 * m * m).map(|k| flows[(offset + k) * places + before]));
-            } else if append_flow(component, |slot| values.one(slot, place), steps.dt[place], &mut own).is_err() {
+            } else if append_flow(component, |slot| values.number_at(slot, place), steps.dt[place], &mut own).is_err() {
                 own.resize(3 * m * m, f64::NAN);
             }
         }
@@ -217,27 +217,27 @@ impl Kernel for TransitionKernel<'_> {
     fn run<T: Lanes>(mut self) -> [bool; MOST] {
         let (plan, places) = (self.plan, self.steps.dt.len());
         let (terms, pairs) = (plan.phi.len(), plan.q.len());
-        let (zero, mut off) = (T::splat(0.0), T::splat(0.0));
+        let (zero, mut defect) = (T::splat(0.0), T::splat(0.0));
         for t in 0..places / T::COUNT {
             let place = t * T::COUNT;
             self.singles::<T>(place);
             for k in 0..self.flows.len() / places {
-                off = self.flow::<T>(k, place).fma(zero, off);
+                defect = self.flow::<T>(k, place).fma(zero, defect);
             }
             for k in 0..terms {
                 let x = self.entry::<T>(&plan.phi[k], plan.identity[k], place);
                 x.store(&mut self.phi[(t * terms + k) * T::COUNT..]);
-                off = x.fma(zero, off);
+                defect = x.fma(zero, defect);
             }
             for k in 0..pairs {
                 let x = self.entry::<T>(&plan.q[k], 0.0, place);
                 x.store(&mut self.q[(t * pairs + k) * T::COUNT..]);
-                off = x.fma(zero, off);
+                defect = x.fma(zero, defect);
             }
         }
         let mut finite_lanes = [false; MOST];
         for lane in 0..T::COUNT {
-            finite_lanes[lane] = off.lane(lane) == 0.0;
+            finite_lanes[lane] = defect.lane(lane) == 0.0;
         }
         finite_lanes
     }
@@ -249,7 +249,7 @@ impl TransitionKernel<'_> {
     fn singles<T: Lanes>(&mut self, place: usize) {
         let places = self.steps.dt.len();
         for single in &self.plan.singles {
-            let (f, q) = (self.values.some::<T>(single.rate, place), self.values.some::<T>(single.noise, place));
+            let (f, q) = (self.values.lanes_or_zero::<T>(single.rate, place), self.values.lanes_or_zero::<T>(single.noise, place));
             let flow = scalar_flows(f, q, T::load(&self.steps.dt[place..]));
             for k in 0..3 {
                 flow[k].store(&mut self.flows[(single.offset + k) * places + place..]);
@@ -257,13 +257,13 @@ impl TransitionKernel<'_> {
         }
     }
 
-    /// An entry of φ or Q; `rest`: value of the entry where a test has no transition.
+    /// An entry of φ or Q; `resting_value`: value of the entry where a test has no transition.
     #[inline(always)]
-    fn entry<T: Lanes>(&self, entry: &EntrySource, rest: f64, place: usize) -> T {
+    fn entry<T: Lanes>(&self, entry: &EntrySource, resting_value: f64, place: usize) -> T {
         match entry {
             EntrySource::Slot(slot) => {
                 let moving = T::load(&self.steps.moving[place..]);
-                moving.fma(self.values.lanes(*slot, place), moving.fnma(T::splat(rest), T::splat(rest)))
+                moving.fma(self.values.lanes(*slot, place), moving.fnma(T::splat(resting_value), T::splat(resting_value)))
             }
             EntrySource::Flow(at) => self.flow(*at, place),
             EntrySource::Held(terms) => held(terms, |at| self.flow(at, place), |slot| self.values.lanes(slot, place)),

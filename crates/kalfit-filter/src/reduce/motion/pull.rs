@@ -162,8 +162,8 @@ impl MotionPullback<'_> {
     /// Adds the flow adjoints of coupled states on the transition at `place` of a lane: adjoints of successive
     /// transitions of one length are summed first.
     fn coupled<T: Lanes>(&self, lane: usize, place: usize, out: &mut MotionBars<T>) {
-        let same = |before: usize| self.steps.dt[before].to_bits() == self.steps.dt[place].to_bits();
-        if !out.last[lane].is_some_and(same) {
+        let has_same_length = |before: usize| self.steps.dt[before].to_bits() == self.steps.dt[place].to_bits();
+        if !out.last[lane].is_some_and(has_same_length) {
             self.flush(lane, out);
             out.last[lane] = Some(place);
         }
@@ -202,7 +202,7 @@ impl MotionPullback<'_> {
         bars: &[f64],
         out: &mut MotionBars<T>,
     ) {
-        let values: Vec<f64> = (0..self.values.fixed.len()).map(|slot| self.values.one(slot, place)).collect();
+        let values: Vec<f64> = (0..self.values.fixed.len()).map(|slot| self.values.number_at(slot, place)).collect();
         let step = Evaluated { values: &values, dt: self.steps.dt[place], flows: &[] };
         let mut found = vec![0.0; values.len()];
         if component_backward(component, &step, bars, &mut found).is_err() {
@@ -219,7 +219,7 @@ impl MotionPullback<'_> {
         let &SinglePullback { single: &Single { offset, rate, noise }, is_free, holds } = back;
         let (places, two) = (self.steps.dt.len(), T::splat(2.0));
         let (dt, phi) = (T::load(&self.steps.dt[place..]), T::load(&self.flows[offset * places + place..]));
-        let f = self.values.some::<T>(rate, place);
+        let f = self.values.lanes_or_zero::<T>(rate, place);
         let mut slope = out.flows[offset] * dt * phi;
         if holds && is_free {
             let gamma = T::load(&self.flows[(offset + 1) * places + place..]);
@@ -239,11 +239,11 @@ impl MotionPullback<'_> {
     }
 }
 
-/// `numbers` with `more` added in one lane.
-fn add_to_lane<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
+/// `numbers` with `addend` added in one lane.
+fn add_to_lane<T: Lanes>(numbers: T, lane: usize, addend: f64) -> T {
     let mut all = [0.0; MOST];
     numbers.store(&mut all);
-    all[lane] += more;
+    all[lane] += addend;
     T::load(&all)
 }
 

@@ -31,14 +31,14 @@ impl Whitening {
     }
 
     /// Nonzero entries of L below the diagonal: (i, k, entry), row by row.
-    fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+    fn nonzero_entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let row = move |i: usize| (0..i).map(move |k| (i, k, self.factor[i * self.m + k]));
         (0..self.m).flat_map(row).filter(|(.., entry)| *entry != 0.0)
     }
 
     /// A ← L⁻¹A, m × `columns`.
     pub(crate) fn apply(&self, a: &mut [f64], columns: usize) {
-        for (i, k, entry) in self.entries() {
+        for (i, k, entry) in self.nonzero_entries() {
             (0..columns).for_each(|c| a[i * columns + c] -= entry * a[k * columns + c]);
         }
     }
@@ -88,7 +88,7 @@ pub(crate) fn whiten(
     }
     whitening.apply(&mut h, n);
     whitening.apply(&mut data.values[row..], 1);
-    for (i, k, entry) in whitening.entries() {
+    for (i, k, entry) in whitening.nonzero_entries() {
         (0..n).for_each(|state| present[i * n + state] |= present[k * n + state]);
         data.sizes[row + i] += entry.abs() * data.sizes[row + k];
     }

@@ -61,7 +61,7 @@ impl Preparer {
         let width = test.widths().0;
         let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);
         if let Some(constants) = self.meters.known_constants() {
-            return Ok(work.instances.iter().map(|own| (cell(own), constants[own.meter])).collect());
+            return Ok(work.instances.iter().map(|instance| (cell(instance), constants[instance.meter])).collect());
         }
         let constants = self.measured_constants(test, work)?;
         Ok(work.instances.iter().map(cell).zip(constants).collect())

@@ -67,8 +67,8 @@ impl Workspace {
     /// (span of step `k`, index of the step in that span).
     fn place(&self, k: usize) -> (&StepSpan, usize) {
         // while successive steps differ in length, each step is a span
-        let own = self.firsts.get(k) == Some(&k);
-        let at = if own { k } else { self.firsts.partition_point(|&first| first <= k) - 1 };
+        let is_span_start = self.firsts.get(k) == Some(&k);
+        let at = if is_span_start { k } else { self.firsts.partition_point(|&first| first <= k) - 1 };
         (&self.spans[at], k - self.firsts[at])
     }
 

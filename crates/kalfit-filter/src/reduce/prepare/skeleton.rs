@@ -80,11 +80,11 @@ impl Skeleton {
     /// be one row, with measurements in the order of the model, or the steps of both tests must have the same
     /// measurements. The shorter test must also have at least half as many steps as `longer`.
     pub(crate) fn fits_batch_of(&self, longer: &Skeleton) -> bool {
-        let same = |k: usize| {
+        let same_measurements = |k: usize| {
             let (own, other) = (self.of(k), longer.of(k));
             own.len() == other.len() && own.iter().zip(other).all(|(own, other)| own.meter == other.meter)
         };
-        2 * self.len() >= longer.len() && (self.one_row_steps && longer.one_row_steps || (0..self.len()).all(same))
+        2 * self.len() >= longer.len() && (self.one_row_steps && longer.one_row_steps || (0..self.len()).all(same_measurements))
     }
 
     /// Empties the skeleton for another test.
@@ -137,11 +137,11 @@ impl Preparer {
     /// stretches of equal steps.
     fn append_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
         let at = self.at();
-        let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
+        let has_unknown_length = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
         let mut count = EqualStepCount::new(work.spans.iter().map(|span| span.count).sum());
         let mut before = 0..0;
         for span in &work.spans {
-            if unknown(span.moves, span.dt) {
+            if has_unknown_length(span.moves, span.dt) {
                 return false;
             }
             for number in 0..span.count {
@@ -180,7 +180,7 @@ fn set_bit(pattern: &mut Vec<u64>, bit: usize) {
 impl Skeleton {
     /// Whether step `k` has the measurements of the step before.
     fn repeats(&self, k: usize) -> bool {
-        let (before, now) = (self.of(k - 1), self.of(k));
-        before.len() == now.len() && before.iter().zip(now).all(|(before, now)| before.meter == now.meter)
+        let (before, current) = (self.of(k - 1), self.of(k));
+        before.len() == current.len() && before.iter().zip(current).all(|(before, current)| before.meter == current.meter)
     }
 }

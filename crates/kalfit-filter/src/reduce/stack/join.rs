@@ -103,15 +103,15 @@ impl<T: Lanes> JoinedPhase<T> {
         room: &mut JoinWorkspace<T>,
     ) -> (StackArray<T>, Vec<T>) {
         let PhaseLink { G, C } = next.link.as_ref().expect("a later phase has a link");
-        let (u, from, q, own) = (C.columns, G.columns, next.data.len(), next.own);
-        let size = u + from + own + later.width - q;
+        let (u, entering_count, q, own) = (C.columns, G.columns, next.data.len(), next.own);
+        let size = u + entering_count + own + later.width - q;
         let mut array = StackArray::zeros(size, std::mem::take(&mut room.array));
         for k in 0..u {
             array.entries[k * (array.stride + 1)] = T::splat(1.0);
         }
-        array.put_packed(u, &self.factor, from);
+        array.put_packed(u, &self.factor, entering_count);
         array.put_data(u, &self.data);
-        later.copy_from(q, &mut array, u + from + own);
+        later.copy_from(q, &mut array, u + entering_count + own);
         let rows = &mut room.rows;
         rows.clear();
         rows.resize(q * array.stride, T::splat(0.0));
@@ -120,10 +120,10 @@ impl<T: Lanes> JoinedPhase<T> {
             for c in 0..u {
                 row[c] = dot(&A[i..], &C.column(c)[i..]);
             }
-            for c in 0..from {
+            for c in 0..entering_count {
                 row[u + c] = dot(&A[i..], &G.column(c)[i..]);
             }
-            let rest = &mut row[u + from..];
+            let rest = &mut row[u + entering_count..];
             rest[..own].copy_from_slice(&A[..own]);
             rest[own..][..B.len()].copy_from_slice(B);
             row[array.width] = later.data(i) - dot(&A[i..], &next.mean[i..]);
@@ -172,10 +172,10 @@ impl<T: Lanes> Matrix<T> {
     fn times(&self, other: &Matrix<T>) -> Matrix<T> {
         let mut entries = vec![T::splat(0.0); self.rows * other.columns];
         for c in 0..other.columns {
-            let to = &mut entries[c * self.rows..][..self.rows];
+            let product = &mut entries[c * self.rows..][..self.rows];
             for (k, &x) in other.column(c).iter().enumerate() {
-                for (to, &own) in to.iter_mut().zip(self.column(k)) {
-                    *to = *to + own * x;
+                for (product, &own) in product.iter_mut().zip(self.column(k)) {
+                    *product = *product + own * x;
                 }
             }
         }

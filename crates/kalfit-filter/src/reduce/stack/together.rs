@@ -56,13 +56,13 @@ fn stack_batch<T: Lanes>(
         array = rest;
     }
     let count = tests.len();
-    let mut left = [0.0; MOST];
-    residual.store(&mut left);
+    let mut residuals = [0.0; MOST];
+    residual.store(&mut residuals);
     let is_regular = array.is_regular(UNINFORMED);
     let factors = per_test(&array.packed(), count);
     let rest = links(&phases, count).into_iter().zip(half_log_determinants(&diagonals, count));
     for (((mut factor, (links, half_log_determinant)), phases), mut residual) in
-        factors.into_iter().zip(rest).zip(tests).zip(left)
+        factors.into_iter().zip(rest).zip(tests).zip(residuals)
     {
         let mut d = factor.split_off(factor.len() - array.width);
         if !is_regular {

@@ -30,7 +30,7 @@ pub(super) struct AssumedCovariance<'a> {
 
 /// White innovations w of a step: e = Lw for the measurements that add information.
 struct Whitened {
-    kept: Vec<usize>,
+    informative: Vec<usize>,
     L: DMatrix<f64>,
     /// Covariance of [x_k; x_0] with w, one column for each element of w.
     C: DMatrix<f64>,
@@ -61,10 +61,10 @@ impl<'a> AssumedCovariance<'a> {
         let n = M.ncols();
         fold(&mut self.U);
         let MU = M * self.U.rows(0, n);
-        let Whitened { kept, L, C } = self.whiten(M, &MU, noise);
+        let Whitened { informative, L, C } = self.whiten(M, &MU, noise);
         let gain = L.transpose().solve_upper_triangular(&C.transpose()).unwrap_or_else(|| DMatrix::zeros(0, 2 * n));
         let mut K = DMatrix::zeros(2 * n, M.nrows());
-        for (k, &i) in kept.iter().enumerate() {
+        for (k, &i) in informative.iter().enumerate() {
             K.set_column(i, &gain.row(k).transpose());
         }
         for &state in &self.filter.consider {
@@ -81,31 +81,31 @@ impl<'a> AssumedCovariance<'a> {
         let (m, n, c) = (M.nrows(), M.ncols(), MU.ncols());
         let width = c + noise.ncols();
         let row = |i: usize| DVector::from_fn(width, |j, _| if j < c { MU[(i, j)] } else { noise[(i, j - c)] });
-        let (mut kept, mut basis, mut parts): (Vec<usize>, Vec<DVector<f64>>, Vec<Vec<f64>>) = Default::default();
+        let (mut informative, mut basis, mut parts): (Vec<usize>, Vec<DVector<f64>>, Vec<Vec<f64>>) = Default::default();
         for i in 0..m {
-            let mut left = row(i);
-            let size = left.norm();
+            let mut remainder = row(i);
+            let size = remainder.norm();
             let unmeasured: f64 = (0..n).map(|j| M[(i, j)].abs() * self.unmeasured[(j, j)].max(0.0).sqrt()).sum();
             let mut part = vec![0.0; basis.len()];
             for (k, own) in (0..2).flat_map(|_| basis.iter().enumerate()) {
-                let along = own.dot(&left);
-                left.axpy(-along, own, 1.0);
+                let along = own.dot(&remainder);
+                remainder.axpy(-along, own, 1.0);
                 part[k] += along;
             }
-            let length = left.norm();
+            let length = remainder.norm();
             if size > KNOWN_FRACTION * unmeasured && length > REDUNDANT_FRACTION * size {
                 part.push(length);
-                basis.push(left / length);
+                basis.push(remainder / length);
                 parts.push(part);
-                kept.push(i);
+                informative.push(i);
             }
         }
-        let L = DMatrix::from_fn(kept.len(), kept.len(), |i, k| if k <= i { parts[i][k] } else { 0.0 });
-        let C = DMatrix::from_fn(2 * n, kept.len(), |i, k| {
+        let L = DMatrix::from_fn(informative.len(), informative.len(), |i, k| if k <= i { parts[i][k] } else { 0.0 });
+        let C = DMatrix::from_fn(2 * n, informative.len(), |i, k| {
             let own = self.U.row(i);
             let covariance: f64 = own.iter().zip(&basis[k]).map(|(u, w)| u * w).sum();
             if covariance.abs() > UNCORRELATED * own.norm() { covariance } else { 0.0 }
         });
-        Whitened { kept, L, C }
+        Whitened { informative, L, C }
     }
 }

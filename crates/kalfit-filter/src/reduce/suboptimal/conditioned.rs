@@ -88,7 +88,7 @@ impl Conditioned {
         let (WS, SP) = (&W * S, S * &entry.root);
         let relations =
             Relations { rows: &certain, rounding_deviation: rounding_deviation(&whole, r, &deviation), WS: &WS };
-        let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } = relations.taken(S, entry)?;
+        let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } = relations.certain_information(S, entry)?;
         let C = &W * &SP * &V_B;
         let G = &W * &SP * &V_0;
         let T = WS.select_columns(entry.entering) - &C * &T_B;
@@ -124,11 +124,11 @@ impl Conditioned {
     /// Checks that N u is zero to within the tolerance. `terms`: size of the terms of each element of u. The error is
     /// (found, allowed).
     pub(super) fn check(&self, u: &DVector<f64>, terms: &DVector<f64>) -> Result<(), (f64, f64)> {
-        let (off, sizes) = (&self.N * u, self.N.map(f64::abs) * terms);
-        for ((off, size), slack) in off.iter().zip(&sizes).zip(&self.slack) {
+        let (discrepancy, sizes) = (&self.N * u, self.N.map(f64::abs) * terms);
+        for ((discrepancy, size), slack) in discrepancy.iter().zip(&sizes).zip(&self.slack) {
             let allowed = TOLERATED_FRACTION * size + slack;
-            if off.abs() > allowed {
-                return Err((off.abs(), allowed));
+            if discrepancy.abs() > allowed {
+                return Err((discrepancy.abs(), allowed));
             }
         }
         Ok(())
@@ -137,8 +137,8 @@ impl Conditioned {
     /// Bytes of memory that the matrices occupy.
     pub(super) fn bytes(&self) -> usize {
         let Conditioned { W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest, .. } = self;
-        let all = [W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest];
-        8 * all.iter().map(|matrix| matrix.len()).sum::<usize>() + 400
+        let matrices = [W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest];
+        8 * matrices.iter().map(|matrix| matrix.len()).sum::<usize>() + 400
     }
 }
 
@@ -174,7 +174,7 @@ struct Relations<'a> {
 }
 
 impl Relations<'_> {
-    fn taken(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<CertainInformation, ExactCombination> {
+    fn certain_information(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<CertainInformation, ExactCombination> {
         let rounding = |norms: &[f64]| {
             DMatrix::from_fn(self.rounding_deviation.len(), norms.len(), |i, j| self.rounding_deviation[i] * norms[j])
         };

@@ -32,11 +32,11 @@ impl FoldedEstimates {
         let width = k + q + 1;
         let mut info = vec![0.0; width * width];
         (0..k).for_each(|i| info[i * (width + 1)] = 1.0);
-        let mut all = Vec::with_capacity(rows.nrows() * width);
+        let mut rows_with_data = Vec::with_capacity(rows.nrows() * width);
         for (row, y) in rows.row_iter().zip(white.iter().chain(&taken)) {
-            all.extend(row.iter().chain([y]));
+            rows_with_data.extend(row.iter().chain([y]));
         }
-        fold(&mut info, &mut all, width);
+        fold(&mut info, &mut rows_with_data, width);
         FoldedEstimates { info, k, q, taken, white }
     }
 

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 /// Largest number of sweeps over all pairs of columns: an iteration that has not converged after so many never will.
-const SWEEPS: usize = 60;
+const MAX_SWEEPS: usize = 60;
 
 /// A = U Λ V'.
 #[derive(Debug, Clone)]
@@ -21,7 +21,7 @@ impl SingularValues {
     pub(super) fn of(a: &DMatrix<f64>) -> SingularValues {
         let m = a.nrows();
         let (mut scaled_right, mut left) = (a.transpose(), DMatrix::identity(m, m));
-        for _ in 0..SWEEPS {
+        for _ in 0..MAX_SWEEPS {
             let mut turned = false;
             for i in 0..m {
                 for j in i + 1..m {

@@ -60,7 +60,7 @@ pub(super) fn run(
         joint.update((&M, &assumed_M), &K, &root);
         for column in K.column_iter() {
             let states = &assumed.0.order.states;
-            gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(at(&column, n)));
+            gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(gain_entry(&column, n)));
         }
     }
     let JointMoments { sensitivity, mut root, .. } = joint;
@@ -72,7 +72,7 @@ pub(super) fn run(
     }
 }
 
-fn at<'a>(column: &'a nalgebra::DVectorView<'_, f64>, n: usize) -> impl Fn((usize, usize)) -> f64 + 'a {
+fn gain_entry<'a>(column: &'a nalgebra::DVectorView<'_, f64>, n: usize) -> impl Fn((usize, usize)) -> f64 + 'a {
     move |(half, state)| column[half * n + state]
 }
 

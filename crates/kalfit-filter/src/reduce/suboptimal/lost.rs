@@ -76,18 +76,18 @@ pub fn lost(raw: ReductionRef<'_>, suboptimal: ReductionRef<'_>) -> Result<Lost,
     if least < -NEGATIVE_FRACTION {
         return Err(LostError::Gained { test: raw.test.to_owned(), excess: -least });
     }
-    Ok(Lost { information, range: parts(&scale(&whole), &missing) })
+    Ok(Lost { information, range: lost_fractions(&scale(&whole), &missing) })
 }
 
 /// (smallest, largest) eigenvalue of `missing` relative to `whole`, in the directions in which `whole` has information.
-fn parts(whole: &DMatrix<f64>, missing: &DMatrix<f64>) -> (f64, f64) {
+fn lost_fractions(whole: &DMatrix<f64>, missing: &DMatrix<f64>) -> (f64, f64) {
     let (values, vectors) = symmetric::eigen(whole);
     let floor = values.last().map_or(0.0, |largest| UNINFORMED * largest);
     let kept: Vec<usize> = (0..values.len()).filter(|&k| values[k] > floor).collect();
     let white = DMatrix::from_fn(whole.nrows(), kept.len(), |i, k| vectors[(i, kept[k])] / values[kept[k]].sqrt());
-    let (parts, _) = symmetric::eigen(&(white.transpose() * missing * white));
+    let (lost_fractions, _) = symmetric::eigen(&(white.transpose() * missing * white));
     let part = |x: Option<&f64>| x.map_or(0.0, |x| x.clamp(0.0, 1.0));
-    (part(parts.first()), part(parts.last()))
+    (part(lost_fractions.first()), part(lost_fractions.last()))
 }
 
 /// J = R'R.

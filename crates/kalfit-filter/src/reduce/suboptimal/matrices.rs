@@ -63,8 +63,8 @@ pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite>
     let m = a.nrows();
     // `a` is symmetric, so that columns are rows
     let U = root(a.as_slice(), m)?;
-    let kept: Vec<usize> = (0..m).filter(|k| U[k * m..][..m].iter().any(|x| *x != 0.0)).collect();
-    Ok(DMatrix::from_fn(m, kept.len(), |i, k| U[kept[k] * m + i]))
+    let nonzero_rows: Vec<usize> = (0..m).filter(|k| U[k * m..][..m].iter().any(|x| *x != 0.0)).collect();
+    Ok(DMatrix::from_fn(m, nonzero_rows.len(), |i, k| U[nonzero_rows[k] * m + i]))
 }
 
 /// Largest ratio of columns to rows that a root may have before it is folded.

@@ -162,8 +162,8 @@ impl EstimateReducer {
         let digest = digest.finish();
         let same = |known: &EstimateClass| {
             let pairs = [(&known.sensitivities, sensitivities), (&known.transition, transition)];
-            let more = [(&known.root, root), (&known.start, &start)];
-            pairs.iter().chain(&more).all(|(a, b)| same_bits(a, b))
+            let root_pairs = [(&known.root, root), (&known.start, &start)];
+            pairs.iter().chain(&root_pairs).all(|(a, b)| same_bits(a, b))
         };
         let key = || EstimateClass {
             sensitivities: sensitivities.clone(),

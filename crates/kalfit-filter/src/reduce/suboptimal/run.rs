@@ -52,10 +52,10 @@ pub struct FilterRunner {
 struct RunWorkspace {
     truth: Workspace,
     assumed: Workspace,
-    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; the columns of `first` are x̂_0 and
+    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; the columns of `smoothed` are x̂_0 and
     /// s̄_3.
-    now: Vec<f64>,
-    first: Vec<f64>,
+    filtered: Vec<f64>,
+    smoothed: Vec<f64>,
     /// s̄_1, in the truth's kernel order.
     drift: Vec<f64>,
     moved: Vec<f64>,
@@ -109,7 +109,7 @@ impl FilterRunner {
             work
         };
         let (truth, assumed) = (workspace(&self.truth), workspace(&self.assumed));
-        RunWorkspace { truth, assumed, now: Vec::new(), first: Vec::new(), drift: Vec::new(), moved: Vec::new() }
+        RunWorkspace { truth, assumed, filtered: Vec::new(), smoothed: Vec::new(), drift: Vec::new(), moved: Vec::new() }
     }
 
     fn run_in(&self, test: &Test, scratch: &mut RunWorkspace) -> Result<Estimates, ReduceError> {
@@ -145,9 +145,9 @@ impl FilterRunner {
             }
         }
         let same = |known: &FilterClass| {
-            let alike = |(a, b): (&NoiseCovariances, &Workspace)| b.covariances.as_ref() == Some(a);
+            let same_covariances = |(a, b): (&NoiseCovariances, &Workspace)| b.covariances.as_ref() == Some(a);
             known.designs.iter().zip(sides).all(|(a, b)| a.same(&b.design))
-                && known.covariances.iter().zip(sides).all(alike)
+                && known.covariances.iter().zip(sides).all(same_covariances)
         };
         self.classes.get(
             digest.finish(),
@@ -175,11 +175,11 @@ impl FilterRunner {
 
     /// Computes x̂ from the data, and s̄, which is x̂ from the data that x_0 = 0 without noise would give.
     fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, scratch: &mut RunWorkspace) {
-        let RunWorkspace { truth, assumed, now, first, drift, moved } = scratch;
+        let RunWorkspace { truth, assumed, filtered, smoothed, drift, moved } = scratch;
         let n = self.filter.mean.len();
-        now.clear();
-        now.extend(self.assumed.order.states.iter().flat_map(|&state| [self.filter.mean[state]; 2]));
-        first.clone_from(now);
+        filtered.clear();
+        filtered.extend(self.assumed.order.states.iter().flat_map(|&state| [self.filter.mean[state]; 2]));
+        smoothed.clone_from(filtered);
         drift.clear();
         drift.resize(n, 0.0);
         let (mut true_input, mut assumed_input) = (0, 0);
@@ -192,10 +192,10 @@ impl FilterRunner {
                 }
             }
             if let Some(transition) = assumed_step.transition {
-                kernel::advance(now, 2, transition.view(), moved);
+                kernel::advance(filtered, 2, transition.view(), moved);
                 for &state in &assumed.design.frame.driven {
                     let input = assumed.data.inputs[assumed_input];
-                    now[2 * state as usize..][..2].iter_mut().for_each(|x| *x += input);
+                    filtered[2 * state as usize..][..2].iter_mut().for_each(|x| *x += input);
                     assumed_input += 1;
                 }
             }
@@ -208,13 +208,13 @@ impl FilterRunner {
                 e[1] += states.iter().zip(h).map(|(&state, h)| h * drift[state as usize]).sum::<f64>();
                 let (states, h) = assumed.design.terms(assumed_line);
                 for (k, e) in e.iter_mut().enumerate() {
-                    *e -= states.iter().zip(h).map(|(&state, h)| h * now[2 * state as usize + k]).sum::<f64>();
+                    *e -= states.iter().zip(h).map(|(&state, h)| h * filtered[2 * state as usize + k]).sum::<f64>();
                 }
                 moved.extend(e);
             }
             for (e, row) in moved.chunks_exact(2).zip(step.rows) {
                 let (gain, gain_of_first) = class.gains[2 * n * row..][..2 * n].split_at(n);
-                for (x, gain) in now.chunks_exact_mut(2).zip(gain).chain(first.chunks_exact_mut(2).zip(gain_of_first)) {
+                for (x, gain) in filtered.chunks_exact_mut(2).zip(gain).chain(smoothed.chunks_exact_mut(2).zip(gain_of_first)) {
                     x[0] += gain * e[0];
                     x[1] += gain * e[1];
                 }
@@ -227,8 +227,8 @@ impl FilterRunner {
         let place = &self.assumed.order.place;
         let both = |k: usize| {
             let half = |x: &[f64]| (0..n).map(|state| x[2 * place[state] + k]).collect::<Vec<f64>>();
-            let mut all = half(&scratch.now);
-            all.extend(half(&scratch.first));
+            let mut all = half(&scratch.filtered);
+            all.extend(half(&scratch.smoothed));
             nalgebra::DVector::from_vec(all)
         };
         Estimates {

@@ -35,7 +35,7 @@ pub(crate) struct BatchAdjoints {
     /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if wanted, ∂ℓ/∂h, of each measurement.
     rows: Vec<f64>,
     /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition.
-    moves: Vec<f64>,
+    transition_adjoints: Vec<f64>,
     mean: Vec<f64>,
     variance: Vec<f64>,
     /// (adjoints per measurement, adjoints per transition of [φ, Q, b]), as counts.
@@ -155,7 +155,7 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
                 self.now.load(&marks[(part - 1) * self.stride..][..self.stride], (frame.n, frame.r));
                 self.forward(from, to.run);
             }
-            back.over(&self, from, to);
+            back.pass_back(&self, from, to);
         }
         back.end(&self.posterior)
     }
@@ -218,11 +218,11 @@ impl<T: Lanes> BatchBack<T> {
         let width = 2 + if pass.posterior.wanted.equation { frame.n } else { 0 };
         let kinds =
             design.pattern().map_or([0; 3], |pattern| [pattern.columns.len(), pattern.pairs.len(), frame.driven.len()]);
-        let moves = design.runs.iter().filter(|run| run.transition.is_some()).count() * kinds.iter().sum::<usize>();
+        let transition_adjoints = design.runs.iter().filter(|run| run.transition.is_some()).count() * kinds.iter().sum::<usize>();
         let all = BatchAdjoints {
             lanes: T::COUNT,
             rows: vec![0.0; design.rows() * width * T::COUNT],
-            moves: vec![0.0; moves * T::COUNT],
+            transition_adjoints: vec![0.0; transition_adjoints * T::COUNT],
             mean: Vec::new(),
             variance: Vec::new(),
             sizes: (width, kinds),
@@ -232,7 +232,7 @@ impl<T: Lanes> BatchBack<T> {
 
     /// The backward pass over the steps between two positions, which the filter has just passed.
     #[inline(always)]
-    fn over(&mut self, pass: &BatchPass<'_, T>, from: BatchPosition, to: BatchPosition) {
+    fn pass_back(&mut self, pass: &BatchPass<'_, T>, from: BatchPosition, to: BatchPosition) {
         let BatchPass { numbers, posterior, stride, .. } = pass;
         let (sizes, (mut row, mut transition)) = ((posterior.frame.n, posterior.frame.r), (to.row, to.transition));
         for run in (from.run..to.run).rev() {
@@ -288,7 +288,7 @@ impl<T: Lanes> BatchBack<T> {
         let mut at = number * all.sizes.1.iter().sum::<usize>();
         for list in [&moved.phi, &moved.q, &moved.input] {
             for x in list {
-                x.store(&mut all.moves[at * T::COUNT..]);
+                x.store(&mut all.transition_adjoints[at * T::COUNT..]);
                 at += 1;
             }
         }
@@ -325,8 +325,8 @@ impl BatchAdjoints {
     }
 
     /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition, and the number of adjoints per transition.
-    pub(crate) fn moves(&self) -> (&[f64], usize) {
-        (&self.moves, self.sizes.1.iter().sum())
+    pub(crate) fn transition_adjoints(&self) -> (&[f64], usize) {
+        (&self.transition_adjoints, self.sizes.1.iter().sum())
     }
 
     /// ∂ℓ/∂a and ∂ℓ/∂P0 of the test in a lane.

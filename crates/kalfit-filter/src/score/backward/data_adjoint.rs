@@ -17,7 +17,7 @@ use crate::score::backward::input::{AdjointsWanted, BackwardInput};
 pub(crate) struct StepCoefficients<T, const N: usize> {
     pub(crate) filter: reduce::InvariantStep<T, N>,
     pub(super) wanted: AdjointsWanted,
-    pub(super) moves: bool,
+    pub(super) has_transition: bool,
 }
 
 /// P before a step and, where ∂ℓ/∂h is wanted, before the measurement of the step.
@@ -41,7 +41,7 @@ pub(crate) struct DataSums<T, const N: usize> {
 
 impl<T: Real, const N: usize> DataSums<T, N> {
     #[inline(always)]
-    pub(crate) fn none() -> DataSums<T, N> {
+    pub(crate) fn zeros() -> DataSums<T, N> {
         let zero = T::splat(0.0);
         let (vector, matrix) = ([zero; N], [[zero; N]; N]);
         DataSums { u: zero, uu: zero, h: vector, r: vector, rr: matrix, phi: matrix }
@@ -61,7 +61,7 @@ impl<T: Real, const N: usize> StepCoefficients<T, N> {
     #[inline(always)]
     pub(crate) fn new(input: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> StepCoefficients<T, N> {
         let filter = reduce::InvariantStep::new(input.design, stretch, x);
-        StepCoefficients { filter, wanted: input.wanted, moves: stretch.transition.is_some() }
+        StepCoefficients { filter, wanted: input.wanted, has_transition: stretch.transition.is_some() }
     }
 
     /// The backward pass through one step; `x`: x̄ before the step.
@@ -91,10 +91,10 @@ impl<T: Real, const N: usize> StepCoefficients<T, N> {
                 }
             }
         }
-        if !self.moves {
+        if !self.has_transition {
             return;
         }
-        let before = self.filter.adjoint(r);
+        let r_before = self.filter.adjoint(r);
         for i in 0..N {
             sums.r[i] = sums.r[i] + r[i];
             for j in 0..=i {
@@ -102,14 +102,14 @@ impl<T: Real, const N: usize> StepCoefficients<T, N> {
             }
         }
         if self.wanted.motion {
-            let before_step = smoothed(x, &P.before_step, &before);
+            let before_step = smoothed(x, &P.before_step, &r_before);
             for i in 0..N {
                 for j in 0..N {
                     sums.phi[i][j] = r[i].fma(before_step[j], sums.phi[i][j]);
                 }
             }
         }
-        *r = before;
+        *r = r_before;
     }
 }
 

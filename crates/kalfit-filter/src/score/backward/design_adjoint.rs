@@ -49,7 +49,7 @@ pub(super) struct DesignSums<T, const N: usize, const C: usize> {
 
 impl<T: Real, const N: usize, const C: usize> DesignSums<T, N, C> {
     #[inline(always)]
-    pub(super) fn none() -> DesignSums<T, N, C> {
+    pub(super) fn zeros() -> DesignSums<T, N, C> {
         let zero = T::splat(0.0);
         let (columns, matrix) = ([zero; C], [[zero; N]; N]);
         DesignSums { noise: zero, upsilon: columns, h: [zero; N], q: matrix, phi: matrix, rho: [columns; N] }
@@ -92,7 +92,7 @@ fn add<T: Real, const M: usize>(sum: &mut [T; M], factor: T, others: &[T; M]) {
 }
 
 #[inline(always)]
-fn inner<T: Real, const M: usize>(a: &[T; M], b: &[T; M]) -> T {
+fn inner_product<T: Real, const M: usize>(a: &[T; M], b: &[T; M]) -> T {
     let mut sum = T::splat(0.0);
     for i in 0..M {
         sum = a[i].fma(b[i], sum);
@@ -102,7 +102,7 @@ fn inner<T: Real, const M: usize>(a: &[T; M], b: &[T; M]) -> T {
 
 /// The product φ'X.
 #[inline(always)]
-fn transposed<T: Real, const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &[[T; W]; N]) -> [[T; W]; N] {
+fn phi_transposed_times<T: Real, const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &[[T; W]; N]) -> [[T; W]; N] {
     let mut out = [[T::splat(0.0); W]; N];
     for k in 0..N {
         for i in 0..N {
@@ -116,7 +116,7 @@ fn transposed<T: Real, const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &
 
 /// The product Nφ.
 #[inline(always)]
-fn product<T: Real, const N: usize>(x: &[[T; N]; N], phi: &[[f64; N]; N]) -> [[T; N]; N] {
+fn times_phi<T: Real, const N: usize>(x: &[[T; N]; N], phi: &[[f64; N]; N]) -> [[T; N]; N] {
     let mut out = [[T::splat(0.0); N]; N];
     for i in 0..N {
         for k in 0..N {
@@ -141,20 +141,20 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         if gain.own.0 != 0.0 {
             self.measured(step, gain, prior, sums);
         }
-        if !step.moves {
+        if !step.has_transition {
             return;
         }
         let half = T::splat(0.5);
         for i in 0..N {
             for j in 0..=i {
-                sums.q[i][j] = half.fma(inner(&self.rho[i], &self.rho[j]) - self.N[i][j], sums.q[i][j]);
+                sums.q[i][j] = half.fma(inner_product(&self.rho[i], &self.rho[j]) - self.N[i][j], sums.q[i][j]);
             }
             for j in 0..C {
                 sums.rho[i][j] = sums.rho[i][j] + self.rho[i][j];
             }
         }
         let phi = &step.filter.phi;
-        let (Nphi, rho) = (product(&self.N, phi), transposed(phi, &self.rho));
+        let (Nphi, rho) = (times_phi(&self.N, phi), phi_transposed_times(phi, &self.rho));
         if step.wanted.motion {
             for j in 0..N {
                 let (P, mut B) = (prior.P.before_step[j].map(T::splat), prior.before_step[j].map(T::splat));
@@ -164,11 +164,11 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
                     }
                 }
                 for i in 0..N {
-                    sums.phi[i][j] = sums.phi[i][j] - (inner(&self.rho[i], &B) + inner(&Nphi[i], &P));
+                    sums.phi[i][j] = sums.phi[i][j] - (inner_product(&self.rho[i], &B) + inner_product(&Nphi[i], &P));
                 }
             }
         }
-        *self = DesignAdjoint { rho, N: transposed(phi, &Nphi) };
+        *self = DesignAdjoint { rho, N: phi_transposed_times(phi, &Nphi) };
     }
 
     #[inline(always)]
@@ -189,10 +189,10 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         }
         let mut NK = [T::splat(0.0); N];
         for i in 0..N {
-            NK[i] = inner(&self.N[i], &K);
+            NK[i] = inner_product(&self.N[i], &K);
         }
-        let D = weight + inner(&NK, &K);
-        sums.noise = T::splat(0.5).fma(inner(&upsilon, &upsilon) - D, sums.noise);
+        let D = weight + inner_product(&NK, &K);
+        sums.noise = T::splat(0.5).fma(inner_product(&upsilon, &upsilon) - D, sums.noise);
         for j in 0..C {
             sums.upsilon[j] = sums.upsilon[j] + upsilon[j];
         }
@@ -203,9 +203,9 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         }
         if step.wanted.equation {
             for i in 0..N {
-                let mut sum = -inner(&upsilon, &prior.before_measurement[i].map(T::splat));
+                let mut sum = -inner_product(&upsilon, &prior.before_measurement[i].map(T::splat));
                 for j in 0..N {
-                    let bar = h[j].fnma(D, inner(&upsilon, &self.rho[j]) + NK[j]);
+                    let bar = h[j].fnma(D, inner_product(&upsilon, &self.rho[j]) + NK[j]);
                     sum = T::splat(prior.P.before_measurement[i][j]).fma(bar, sum);
                 }
                 sums.h[i] = sums.h[i] + sum;
@@ -226,7 +226,7 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         gain: &Gain<N, C>,
         prior: &PriorMoments<N, C>,
     ) -> DesignSums<T, N, C> {
-        let mut each = DesignSums::none();
+        let mut each = DesignSums::zeros();
         self.clone().back(step, gain, prior, &mut each);
         each
     }

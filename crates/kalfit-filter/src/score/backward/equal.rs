@@ -58,7 +58,7 @@ impl<'a> EqualStretch<'a> {
 
     /// 1/S and K of a step.
     #[inline(always)]
-    pub(crate) fn weighted<const N: usize>(&self, step: usize) -> (f64, [f64; N]) {
+    pub(crate) fn weight_and_gain<const N: usize>(&self, step: usize) -> (f64, [f64; N]) {
         let (weight, own, _) = self.input.gains.of(self.piece, self.row(step));
         let mut K = [0.0; N];
         K[..own.len()].copy_from_slice(own);
@@ -74,7 +74,7 @@ impl<'a> EqualStretch<'a> {
                 T[j] += sensitivity * self.input.moments.root[k * C + j];
             }
         }
-        Gain { own: self.weighted(step), T }
+        Gain { own: self.weight_and_gain(step), T }
     }
 
     /// P before a step, and before the measurement of the step.

@@ -106,8 +106,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
             step: StepCoefficients::new(steps.input, &steps.stretch, &splatted(&work.now.x)),
             r: std::array::from_fn(|i| T::splat(adjoint.r[i])),
             bars,
-            data: DataSums::none(),
-            sums: DesignSums::none(),
+            data: DataSums::zeros(),
+            sums: DesignSums::zeros(),
             steady: None,
             rested: 0,
             monitored: work.monitor.begin(steps.stretch.count - steps.moving()),
@@ -126,7 +126,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         xs.clear();
         for k in from..to {
             xs.push(x);
-            x = self.step.filter.state(&x, &steps.weighted(k).1, T::splat(e[k]));
+            x = self.step.filter.state(&x, &steps.weight_and_gain(k).1, T::splat(e[k]));
         }
     }
 

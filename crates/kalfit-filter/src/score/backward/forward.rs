@@ -39,17 +39,17 @@ impl BackwardInput<'_> {
     pub(crate) fn cut<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         let (parts, cut, driven) = (&mut work.parts, work.cut, self.design.frame.driven.len());
         parts.clear();
-        let (mut step, mut input, mut many) = (0, 0, 0);
+        let (mut step, mut input, mut equal_segments) = (0, 0, 0);
         for (at, stretch) in self.design.stretches().enumerate() {
             let inputs = if stretch.transition.is_some() { driven } else { 0 };
             let steps = (step, step + stretch.count);
-            let few = if many < MAX_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
+            let few = if equal_segments < MAX_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
             let long = stretch.count > few;
             let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.accepts_sums(steps.0..steps.1));
-            let begun = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
+            let segment_of = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
             if let Some(pass) = long.then(summed).flatten() {
-                many += 1;
-                parts.push(begun(SegmentKind::Equal(pass), steps, 0, input));
+                equal_segments += 1;
+                parts.push(segment_of(SegmentKind::Equal(pass), steps, 0, input));
             } else {
                 let mut skip = 0;
                 while skip < stretch.count {
@@ -60,7 +60,7 @@ impl BackwardInput<'_> {
                     let segment = match open {
                         Some(segment) => segment,
                         None => {
-                            parts.push(begun(SegmentKind::Steps, (start, start), skip, input + skip * inputs));
+                            parts.push(segment_of(SegmentKind::Steps, (start, start), skip, input + skip * inputs));
                             parts.last_mut().expect("one was pushed")
                         }
                     };

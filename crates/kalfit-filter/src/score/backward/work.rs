@@ -24,7 +24,7 @@ pub(super) const MAX_SHORT_STRETCHES: usize = 64;
 
 impl Default for SegmentLengths {
     fn default() -> SegmentLengths {
-        SegmentLengths { block: 256, few: MomentPath::FEW, short: 64 }
+        SegmentLengths { block: 256, few: MomentPath::MOST_WITHOUT_PATH, short: 64 }
     }
 }
 

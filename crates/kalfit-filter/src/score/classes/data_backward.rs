@@ -102,7 +102,7 @@ struct Cursor {
 
 /// One number of each test, in lanes; lanes beyond the last test repeat the last test.
 #[inline(always)]
-fn each<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember<'_>) -> f64) -> T {
+fn in_lanes<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember<'_>) -> f64) -> T {
     let mut lanes = [0.0; MOST];
     for lane in 0..T::COUNT {
         lanes[lane] = number(&tests[lane.min(tests.len() - 1)]);
@@ -135,7 +135,7 @@ impl<T: Lanes> DataBackwardState<T> {
             self.x[i] = T::splat(shared.start[i]);
         }
         for k in 0..p {
-            let mean = each::<T>(tests, |own| own.mean[k]);
+            let mean = in_lanes::<T>(tests, |own| own.mean[k]);
             for i in 0..n {
                 let A = frame.sensitivity[i * p + k];
                 if A != 0.0 {
@@ -212,7 +212,7 @@ impl<T: Lanes> DataBackwardState<T> {
     #[inline(always)]
     fn back(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         for i in 0..self.x.len() {
-            self.x[i] = each::<T>(tests, |own| own.ending.get(i).copied().unwrap_or(0.0));
+            self.x[i] = in_lanes::<T>(tests, |own| own.ending.get(i).copied().unwrap_or(0.0));
         }
         for sum in &mut self.sums {
             *sum = T::splat(0.0);

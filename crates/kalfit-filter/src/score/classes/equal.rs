@@ -22,28 +22,28 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
     #[inline(always)]
     fn run(self) -> DataSums<T, N> {
         let EqualDataBackward { stretch, first, marks, e, r: all } = self;
-        let adjoint = stretch.coefficients::<T, N>(first);
-        let mut r = known(all);
-        let (mut sums, mut xs) = (DataSums::none(), Vec::new());
+        let step_coefficients = stretch.coefficients::<T, N>(first);
+        let mut r = first_numbers(all);
+        let (mut sums, mut xs) = (DataSums::zeros(), Vec::new());
         for (number, (from, to)) in stretch.blocks().enumerate().rev() {
-            let mut x = known(&marks[number * N..]);
+            let mut x = first_numbers(&marks[number * N..]);
             let first_steady = stretch.moving().clamp(from, to);
             xs.clear();
             for k in from..to {
                 xs.push(x);
-                x = adjoint.filter.state(&x, &stretch.weighted(k).1, at(e, k));
+                x = step_coefficients.filter.state(&x, &stretch.weight_and_gain(k).1, at(e, k));
             }
             if first_steady < to {
-                let gain = stretch.weighted(first_steady);
+                let gain = stretch.weight_and_gain(first_steady);
                 let prior = stretch.variances(first_steady, &gain);
                 for k in (first_steady..to).rev() {
-                    adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut sums);
+                    step_coefficients.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut sums);
                 }
             }
             for k in (from..first_steady).rev() {
-                let gain = stretch.weighted(k);
+                let gain = stretch.weight_and_gain(k);
                 let prior = stretch.variances(k, &gain);
-                adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut sums);
+                step_coefficients.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut sums);
             }
         }
         all[..N].copy_from_slice(&r);
@@ -53,7 +53,7 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
 
 /// The first N numbers of a list.
 #[inline(always)]
-fn known<T: Lanes, const N: usize>(all: &[T]) -> [T; N] {
+fn first_numbers<T: Lanes, const N: usize>(all: &[T]) -> [T; N] {
     let mut first = [T::splat(0.0); N];
     first.copy_from_slice(&all[..N]);
     first

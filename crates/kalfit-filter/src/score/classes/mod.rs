@@ -76,10 +76,10 @@ impl Scorer<'_> {
             };
             let design = || {
                 let done = input.back(backward, &mut PullbackSink { adjoints, test: first, work });
-                adjoints.finished(done, first, work)
+                adjoints.finish_after(done, first, work)
             };
             let (design, data) = rayon::join(design, || data_parts(&shared, tests));
-            Ok(sums(data, &design?))
+            Ok(total_scores(data, &design?))
         })?;
         // one by one, the error will be reported for the test that has it
         Ok(found.unwrap_or(None))
@@ -148,7 +148,7 @@ fn data_parts(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradie
 
 /// The score of each test: the data-dependent part `data` plus the part `design`, which all tests share. `None` where a
 /// score is not finite.
-fn sums(mut data: Vec<Gradient>, design: &Gradient) -> Option<Vec<Gradient>> {
+fn total_scores(mut data: Vec<Gradient>, design: &Gradient) -> Option<Vec<Gradient>> {
     data.iter_mut().for_each(|own| add(own, design));
     data.iter().flatten().all(|(_, x)| x.is_finite()).then_some(data)
 }

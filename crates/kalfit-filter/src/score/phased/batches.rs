@@ -25,26 +25,26 @@ type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
 impl PhasedScorer<'_> {
     /// (place, gradient through phase `at`) of each test of `numbers` that is in a batch of the phase, with the place
     /// of the test in `numbers`; tests with an error are omitted.
-    pub(super) fn in_batches(
+    pub(super) fn score_in_batches(
         &self,
         at: usize,
-        of: ScoredEnsemble<'_>,
+        ensemble: ScoredEnsemble<'_>,
         numbers: &[usize],
         known: &[TestScore],
     ) -> Vec<(usize, Gradient)> {
-        let Some(filtered) = of.filtered else { return Vec::new() };
+        let Some(filtered) = ensemble.filtered else { return Vec::new() };
         let (members, batches) = filtered.phase(at);
-        let rows = |&number: &usize| self.reducer.rows_of(at, &of.tests[number]).expect("members have rows");
+        let rows = |&number: &usize| self.reducer.rows_of(at, &ensemble.tests[number]).expect("members have rows");
         let rows: Vec<&Test> = members.iter().map(rows).collect();
-        let mut places = vec![NOT_REQUESTED; of.tests.len()];
+        let mut places = vec![NOT_REQUESTED; ensemble.tests.len()];
         numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
         let lane = |(lane, member): (usize, usize)| {
             let place = places[members[member]];
             Some((lane, place, known.get(place)?.phases.get(at)?))
         };
         let batch = |room: &mut ScoreWorkspace<'_>, batch: FilteredBatch<'_>| {
-            let own: Vec<LaneStart<'_>> = batch.tests().filter_map(lane).collect();
-            self.phases[at].batch(at, (&own, &rows), batch, room)
+            let lane_starts: Vec<LaneStart<'_>> = batch.tests().filter_map(lane).collect();
+            self.phases[at].batch(at, (&lane_starts, &rows), batch, room)
         };
         batches.map_init(|| self.room(), batch).flatten_iter().collect()
     }
@@ -54,21 +54,21 @@ impl Scorer<'_> {
     fn batch(
         &self,
         at: usize,
-        (own, rows): (&[LaneStart<'_>], &[&Test]),
+        (lane_starts, rows): (&[LaneStart<'_>], &[&Test]),
         batch: FilteredBatch<'_>,
         room: &mut ScoreWorkspace<'_>,
     ) -> Vec<(usize, Gradient)> {
-        let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
-        let padded: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
-        let later: Vec<TerminalAdjoint> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
-            true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
+        let Some(columns) = lane_starts.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
+        let padded: Vec<Moments> = lane_starts.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
+        let later: Vec<TerminalAdjoint> = match lane_starts.iter().any(|(.., smooth)| smooth.later.is_some()) {
+            true => lane_starts.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),
         };
         // lanes of tests that are not requested get a copy of the first moments, and are not read
         let mut moments: Vec<&Moments> = vec![&padded[0]; batch.layout.tests.len()];
-        own.iter().zip(&padded).for_each(|(&(lane, ..), padded)| moments[lane] = padded);
+        lane_starts.iter().zip(&padded).for_each(|(&(lane, ..), padded)| moments[lane] = padded);
         let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
-        own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
+        lane_starts.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
         let (filter, shape, wanted) = (&batch.values.batch_filter, &batch.layout.design, self.wanted());
         let (moments, endings) = (&*moments, &*endings);
         let pass =
@@ -79,6 +79,6 @@ impl Scorer<'_> {
         let score = |&(lane, place, _): &LaneStart<'_>| {
             Some((place, adjoints.of_lane((batch, &bars, &pulled), lane, rows, work).ok()?))
         };
-        own.iter().filter_map(score).collect()
+        lane_starts.iter().filter_map(score).collect()
     }
 }

@@ -39,14 +39,14 @@ impl PhasedScorer<'_> {
     /// Scores of the tests of a class, in one pass where that is possible, otherwise one by one.
     pub(super) fn score_class(
         &self,
-        of: ScoredEnsemble<'_>,
+        ensemble: ScoredEnsemble<'_>,
         numbers: &[usize],
         room: &mut ScoreWorkspace<'_>,
     ) -> Vec<Score> {
-        match self.together(of, numbers, room) {
+        match self.together(ensemble, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
             // one by one, an error is reported for the test that has it
-            Ok(None) | Err(_) => self.score_unclassed(of, numbers),
+            Ok(None) | Err(_) => self.score_unclassed(ensemble, numbers),
         }
     }
 
@@ -54,15 +54,15 @@ impl PhasedScorer<'_> {
     /// by one.
     pub(super) fn together(
         &self,
-        of: ScoredEnsemble<'_>,
+        ensemble: ScoredEnsemble<'_>,
         numbers: &[usize],
         room: &mut ScoreWorkspace<'_>,
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
         let first = numbers[0];
-        let like = self.begin(of, first, &mut room.work)?;
+        let first_smoothed = self.begin(ensemble, first, &mut room.work)?;
         let begin = |numbers: &[usize]| {
             let mut room = self.room();
-            numbers.iter().map(|&number| self.member_start(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
+            numbers.iter().map(|&number| self.member_start(ensemble, (first, number), &first_smoothed, &mut room)).collect::<Vec<_>>()
         };
         let member_start: Vec<Result<Option<MemberStart>, ReduceError>> = if numbers.len() <= TESTS_PER_TASK {
             begin(numbers)
@@ -76,12 +76,12 @@ impl PhasedScorer<'_> {
         };
         let mut scores: Vec<Gradient> =
             member_start.iter_mut().map(|member_start| std::mem::take(&mut member_start.carry_gradient)).collect();
-        for (at, smooth) in like.iter().enumerate() {
-            if self.reducer.rows_of(at, &of.tests[first]).is_none() {
+        for (at, smooth) in first_smoothed.iter().enumerate() {
+            if self.reducer.rows_of(at, &ensemble.tests[first]).is_none() {
                 continue;
             }
             let members = |(&number, member_start): (&usize, &mut MemberStart)| {
-                let test = self.reducer.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
+                let test = self.reducer.rows_of(at, &ensemble.tests[number]).expect("alike tests have the same phases");
                 let (mean, ending) = std::mem::take(&mut member_start.phases[at]);
                 ClassMember { test, mean, ending }
             };
@@ -101,20 +101,20 @@ impl PhasedScorer<'_> {
     /// class differ in more than the data-dependent part.
     fn member_start(
         &self,
-        of: ScoredEnsemble<'_>,
+        ensemble: ScoredEnsemble<'_>,
         (first, number): (usize, usize),
-        like: &[SmoothedPhase],
+        first_smoothed: &[SmoothedPhase],
         room: &mut ScoreWorkspace<'_>,
     ) -> Result<Option<MemberStart>, ReduceError> {
-        let (test, reduction) = (&of.tests[number], of.reductions.get(number));
-        let alike = self.model.is_single() && !of.law.is_restricted() && !of.law.has_posteriors();
-        if let ([smooth], true) = (like, alike) {
-            let same = same_bits(reduction.factor, of.reductions.factor(first));
-            let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
+        let (test, reduction) = (&ensemble.tests[number], ensemble.reductions.get(number));
+        let alike = self.model.is_single() && !ensemble.law.is_restricted() && !ensemble.law.has_posteriors();
+        if let ([smooth], true) = (first_smoothed, alike) {
+            let same = same_bits(reduction.factor, ensemble.reductions.factor(first));
+            let phases = || vec![(smooth.moments.mean_of(reduction, ensemble.law), Vec::new())];
             return Ok(same.then(|| MemberStart { phases: phases(), carry_gradient: Gradient::new() }));
         }
-        let own = self.begin(of, number, &mut room.work)?;
-        if own.len() != like.len() || !own.iter().zip(like).all(|(a, b)| a.same_design(b)) {
+        let own = self.begin(ensemble, number, &mut room.work)?;
+        if own.len() != first_smoothed.len() || !own.iter().zip(first_smoothed).all(|(a, b)| a.same_design(b)) {
             return Ok(None);
         }
         let carry_gradient = self.carry_gradient(test, &own, room)?;

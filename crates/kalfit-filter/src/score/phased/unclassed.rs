@@ -40,28 +40,28 @@ impl TestScore {
 
 impl PhasedScorer<'_> {
     /// The scores of the tests with the indices `numbers`.
-    pub(super) fn score_unclassed(&self, of: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
-        let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.start_test(of, number, room);
+    pub(super) fn score_unclassed(&self, ensemble: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
+        let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.start_test(ensemble, number, room);
         let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
         for at in 0..self.phases.len() {
             let mut remaining: Vec<bool> = known.iter().map(|known| known.error.is_none()).collect();
-            for (place, gradient) in self.in_batches(at, of, numbers, &known) {
+            for (place, gradient) in self.score_in_batches(at, ensemble, numbers, &known) {
                 remaining[place] = false;
                 known[place].parts[at] = gradient;
             }
             let remaining: Vec<usize> = (0..numbers.len()).filter(|&place| remaining[place]).collect();
-            for (place, score) in self.score_one_by_one(at, of, (numbers, remaining), &known) {
+            for (place, score) in self.score_one_by_one(at, ensemble, (numbers, remaining), &known) {
                 known[place].take(at, score.map_err(|error| self.reducer.phases()[at].named(error)));
             }
         }
         numbers.iter().copied().zip(known.into_iter().map(TestScore::score)).collect()
     }
 
-    fn start_test(&self, of: ScoredEnsemble<'_>, number: usize, room: &mut ScoreWorkspace<'_>) -> TestScore {
+    fn start_test(&self, ensemble: ScoredEnsemble<'_>, number: usize, room: &mut ScoreWorkspace<'_>) -> TestScore {
         let mut known = TestScore { parts: vec![Gradient::new(); self.phases.len() + 1], ..TestScore::default() };
         let mut begin = || {
-            let phases = self.begin(of, number, &mut room.work)?;
-            let carry_gradient = self.carry_gradient(&of.tests[number], &phases, room)?;
+            let phases = self.begin(ensemble, number, &mut room.work)?;
+            let carry_gradient = self.carry_gradient(&ensemble.tests[number], &phases, room)?;
             Ok((phases, carry_gradient))
         };
         match begin() {
@@ -78,12 +78,12 @@ impl PhasedScorer<'_> {
     fn score_one_by_one(
         &self,
         at: usize,
-        of: ScoredEnsemble<'_>,
+        ensemble: ScoredEnsemble<'_>,
         (numbers, places): (&[usize], Vec<usize>),
         known: &[TestScore],
     ) -> Vec<(usize, Result<Gradient, ReduceError>)> {
         let alone = |room: &mut ScoreWorkspace<'_>, place: usize| {
-            let rows = self.reducer.rows_of(at, &of.tests[numbers[place]])?;
+            let rows = self.reducer.rows_of(at, &ensemble.tests[numbers[place]])?;
             let (scorer, smooth) = (&self.phases[at], &known[place].phases[at]);
             let ending = scorer.ending_of(smooth);
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);

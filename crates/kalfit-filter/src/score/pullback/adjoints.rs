@@ -38,7 +38,7 @@ pub(super) struct TransitionSums {
 #[derive(Debug, Clone, Default)]
 pub(super) struct UnwhiteningScratch {
     pub(super) raw: Vec<f64>,
-    pub(super) back: Unwhitened,
+    pub(super) unwhitened: Unwhitened,
     /// Adjoints of the measurements before they were whitened.
     pub(super) bars: MeasurementAdjoint,
 }
@@ -165,7 +165,7 @@ impl Adjoints<'_> {
     }
 
     /// The gradient after all adjoints were given; the accumulator is cleared where `given` is an error.
-    pub(crate) fn finished(
+    pub(crate) fn finish_after(
         &mut self,
         given: Result<(), Box<Fault>>,
         test: &Test,

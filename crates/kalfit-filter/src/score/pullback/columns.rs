@@ -64,9 +64,9 @@ impl Kernel for Pull<'_> {
             pullback.columns(taps).map(|(slot, _)| (slot, vec![0.0; block.layout.transitions.dt.len()])).collect()
         };
         let (mut values, mut inputs) = (zero_columns(&pullback.values), zero_columns(&pullback.inputs));
-        let (moves, width) = self.bars.moves();
+        let (transition_adjoints, width) = self.bars.transition_adjoints();
         let mut bars = self.back.zero::<T>();
-        for (t, own) in moves.chunks_exact((width * T::COUNT).max(1)).enumerate() {
+        for (t, own) in transition_adjoints.chunks_exact((width * T::COUNT).max(1)).enumerate() {
             self.back.pull(t, own, &mut bars);
             for (slot, column) in &mut values {
                 let bar = std::mem::replace(&mut bars.values[*slot], T::splat(0.0));

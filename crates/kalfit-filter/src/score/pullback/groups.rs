@@ -49,7 +49,7 @@ impl Groups {
 
     /// The group of a step, and whether it is new. Transitions are distinguished by the values `made`, which they are
     /// computed from, and by the cells, not by address: whether two transitions share memory depends on other tests.
-    pub(super) fn find(
+    pub(super) fn find_or_add(
         &mut self,
         (transition, k): (&Arc<Transition>, usize),
         (reads, scope): (&[CellRead], &Scope<'_>),

@@ -23,17 +23,17 @@ impl Adjoints<'_> {
             return Ok(());
         }
         let rows = work.design.step(k).rows;
-        if rows.len() < 2 || self.pullback.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
-            return self.scalars(test, k, rows, work, bars);
+        if rows.len() < 2 || self.pullback.pairs.is_empty() || !self.unwhiten_if_correlated(test, k, rows.clone(), work, bars)? {
+            return self.add_unwhitened(test, k, rows, work, bars);
         }
         let own = std::mem::take(&mut self.unwhitening.bars);
-        let result = self.scalars(test, k, rows, work, &own);
+        let result = self.add_unwhitened(test, k, rows, work, &own);
         self.unwhitening.bars = own;
         result
     }
 
     /// Takes the adjoints of measurements as the model defines them, not whitened.
-    fn scalars(
+    fn add_unwhitened(
         &mut self,
         test: &Test,
         k: usize,
@@ -61,7 +61,7 @@ impl Adjoints<'_> {
 
     /// Takes the adjoints back through the whitening of step `k`; returns false if no noises of the step are
     /// correlated.
-    fn correlated(
+    fn unwhiten_if_correlated(
         &mut self,
         test: &Test,
         k: usize,
@@ -69,7 +69,7 @@ impl Adjoints<'_> {
         work: &Workspace,
         bars: &MeasurementAdjoint,
     ) -> Result<bool, Box<Fault>> {
-        let Adjoints { pullback, pending, unwhitening: UnwhiteningScratch { raw, back, bars: own }, .. } = self;
+        let Adjoints { pullback, pending, unwhitening: UnwhiteningScratch { raw, unwhitened, bars: own }, .. } = self;
         let (context, meters, dt, m) = (pullback.context(), &pullback.preparer.meters, work.dt(k), rows.len());
         let instances = &work.instances.of(rows.clone());
         let found = meters.covariances(&context.at, test, dt, instances)?;
@@ -84,18 +84,18 @@ impl Adjoints<'_> {
             let (states, terms) = work.design.terms(line);
             states.iter().zip(terms).for_each(|(&state, x)| own[state as usize] = *x);
         }
-        back.set((&h, &work.data.values[rows], n), (raw, &found), whitened);
+        unwhitened.set((&h, &work.data.values[rows], n), (raw, &found), whitened);
         for c in &found {
             if let Some(tap) = pullback.pairs[c.pair] {
                 let scope =
                     Scope { numbers: test.numbers(c.row), texts: test.texts(c.row), step: dt, alpha: context.at.alpha };
-                pending.add(&context, tap, back.noise[c.i * m + c.j] + back.noise[c.j * m + c.i], &scope)?;
+                pending.add(&context, tap, unwhitened.noise[c.i * m + c.j] + unwhitened.noise[c.j * m + c.i], &scope)?;
             }
         }
         own.noise.clear();
-        own.noise.extend((0..m).map(|i| back.noise[i * m + i]));
-        std::mem::swap(&mut own.value, &mut back.value);
-        std::mem::swap(&mut own.h, &mut back.h);
+        own.noise.extend((0..m).map(|i| unwhitened.noise[i * m + i]));
+        std::mem::swap(&mut own.value, &mut unwhitened.value);
+        std::mem::swap(&mut own.h, &mut unwhitened.h);
         Ok(true)
     }
 }

@@ -36,7 +36,7 @@ impl Adjoints<'_> {
         if needs.noise {
             add(&mut sums[phi..phi + q], &bars.q);
         }
-        if bars.input.is_empty() { Ok(()) } else { self.driven(test, k, work, group, &bars.input) }
+        if bars.input.is_empty() { Ok(()) } else { self.add_input_adjoints(test, k, work, group, &bars.input) }
     }
 
     /// The group that was used last, if step `k` belongs to this group; otherwise `None`.
@@ -84,7 +84,7 @@ impl Adjoints<'_> {
         let dt = if preparer.dynamics.components.is_empty() { 0.0 } else { scope.step };
         let varying = preparer.dynamics.table.varying.iter().map(|(slot, ..)| replay.values[*slot]);
         let made = std::iter::once(dt).chain(varying);
-        let (group, new) = moving.groups.find((transition, k), (&pullback.reads, &scope), made);
+        let (group, new) = moving.groups.find_or_add((transition, k), (&pullback.reads, &scope), made);
         if new && pullback.needs.inputs {
             preparer.plan.flows(&preparer.dynamics, &replay.values, scope.step, &mut moving.flows)?;
             moving.groups.flows(group).copy_from_slice(&moving.flows);
@@ -93,7 +93,7 @@ impl Adjoints<'_> {
     }
 
     /// Takes the adjoints of b = Γu of one step.
-    fn driven(
+    fn add_input_adjoints(
         &mut self,
         test: &Test,
         k: usize,

@@ -117,7 +117,7 @@ impl Adjoints<'_> {
     ) -> Result<PullbackFactors, Box<Fault>> {
         let mut probe =
             PullbackProbe { adjoints: self, test, work, response: PullbackFactors::default(), known: HashMap::new() };
-        let done = probe.all(steps);
+        let done = probe.probe_steps(steps);
         let response = probe.response;
         if done.is_err() {
             self.clear();
@@ -135,7 +135,7 @@ impl Adjoints<'_> {
 }
 
 impl PullbackProbe<'_, '_> {
-    fn all(&mut self, steps: impl Iterator<Item = usize>) -> Result<(), Box<Fault>> {
+    fn probe_steps(&mut self, steps: impl Iterator<Item = usize>) -> Result<(), Box<Fault>> {
         let work = self.work;
         for k in steps {
             let step = work.design.step(k);

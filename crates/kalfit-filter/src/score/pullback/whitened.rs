@@ -20,13 +20,13 @@ impl Pullback<'_> {
     /// Replaces the adjoints of the measurements of a block after whitening by the adjoints before whitening; returns
     /// the adjoints of the noise covariances that depend on free values.
     pub(super) fn unwhiten(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Vec<PairBar> {
-        let (mut pairs, mut back) = (Vec::new(), Unwhitened::default());
+        let (mut pairs, mut unwhitened) = (Vec::new(), Unwhitened::default());
         for (lane, number) in block.tests() {
             for stretch in block.layout.design.stretches() {
                 let rows: Vec<usize> = block.layout.rows_of(lane, stretch.lines).collect();
                 if rows.len() > 1 {
                     let step = (block, lane, &*rows);
-                    let found = self.unwhiten_step(step, tests[number], (&mut *bars, &mut back), &mut pairs);
+                    let found = self.unwhiten_step(step, tests[number], (&mut *bars, &mut unwhitened), &mut pairs);
                     found.expect("it was sound on the way forward");
                 }
             }
@@ -38,7 +38,7 @@ impl Pullback<'_> {
         &self,
         (block, lane, rows): (FilteredBatch<'_>, usize, &[usize]),
         test: &Test,
-        (bars, back): (&mut BatchAdjoints, &mut Unwhitened),
+        (bars, unwhitened): (&mut BatchAdjoints, &mut Unwhitened),
         pairs: &mut Vec<PairBar>,
     ) -> Result<(), Box<Fault>> {
         let (meters, at, m) = (&self.preparer.meters, self.preparer.at(), rows.len());
@@ -56,15 +56,15 @@ impl Pullback<'_> {
         let column = |k: usize| rows.iter().map(|&row| all[place(row, k)]).collect::<Vec<f64>>();
         let h: Vec<f64> =
             rows.iter().flat_map(|&row| (2..width).map(move |k| (row, k))).map(|(row, k)| all[place(row, k)]).collect();
-        back.set((&whitened.0, &whitened.1, n), (&noises, &found), (&column(0), &column(1), &h));
+        unwhitened.set((&whitened.0, &whitened.1, n), (&noises, &found), (&column(0), &column(1), &h));
         for (i, &row) in rows.iter().enumerate() {
-            all[place(row, 0)] = back.noise[i * m + i];
-            all[place(row, 1)] = back.value[i];
-            (2..width).for_each(|k| all[place(row, k)] = back.h[i * n + k - 2]);
+            all[place(row, 0)] = unwhitened.noise[i * m + i];
+            all[place(row, 1)] = unwhitened.value[i];
+            (2..width).for_each(|k| all[place(row, k)] = unwhitened.h[i * n + k - 2]);
         }
         for c in &found {
             if let Some(tap) = self.pairs[c.pair] {
-                let bar = back.noise[c.i * m + c.j] + back.noise[c.j * m + c.i];
+                let bar = unwhitened.noise[c.i * m + c.j] + unwhitened.noise[c.j * m + c.i];
                 pairs.push(PairBar { lane, tap, row: c.row, dt, bar });
             }
         }

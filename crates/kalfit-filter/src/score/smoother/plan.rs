@@ -53,7 +53,7 @@ pub(super) struct LinkPlan {
     pub(super) N: DMatrix<f64>,
     /// Orthogonal matrix that transforms [d of the phase; d of later phases] into [d of this and later phases;
     /// remainder].
-    pub(super) fold: DMatrix<f64>,
+    pub(super) rotation: DMatrix<f64>,
 }
 
 /// The data-independent part of ∂ℓ/∂T.
@@ -74,13 +74,13 @@ pub(crate) struct PlanKey {
 
 impl PlanKey {
     pub(crate) fn new(pieces: &[PhaseReduction], laws: &PhaseLaws) -> PlanKey {
-        let own = |piece: &PhaseReduction| parts(piece).map(<[f64]>::to_vec);
+        let own = |piece: &PhaseReduction| key_matrices(piece).map(<[f64]>::to_vec);
         PlanKey { phases: pieces.iter().map(own).collect(), covariates: laws.covariates.clone() }
     }
 
     /// Whether this key equals the key of the phases `pieces` bit for bit.
-    pub(crate) fn same(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> bool {
-        let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(parts(b)).all(|(a, b)| same_bits(a, b));
+    pub(crate) fn equals(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> bool {
+        let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(key_matrices(b)).all(|(a, b)| same_bits(a, b));
         self.phases.len() == pieces.len()
             && same_bits(&self.covariates, &laws.covariates)
             && self.phases.iter().zip(pieces).all(phase)
@@ -88,7 +88,7 @@ impl PlanKey {
 }
 
 /// [R, Ψ_K, root of P_K, T] of a phase; a matrix that the phase does not have is empty.
-fn parts(piece: &PhaseReduction) -> [&[f64]; 4] {
+fn key_matrices(piece: &PhaseReduction) -> [&[f64]; 4] {
     let [sensitivity, root] = match &piece.terminal {
         Some(terminal) => [terminal.sensitivity.as_slice(), terminal.root.as_slice()],
         None => [&[][..]; 2],
@@ -130,25 +130,25 @@ impl SmootherPlan {
         let mut plan = SmootherPlan { phases: Vec::with_capacity(pieces.len()), constant: 0.0 };
         let (totals, links) = plan.backward(pieces, laws, &own);
         let mut prior = spread(&laws[0], own[0].ncols());
-        let mut before: Option<PriorRoot> = None;
+        let mut previous_state: Option<PriorRoot> = None;
         for (i, (link, own)) in links.into_iter().zip(own).enumerate() {
-            if let Some(before) = &before {
-                prior = inherit(&laws[i], &pieces[i], before);
+            if let Some(previous_state) = &previous_state {
+                prior = inherit(&laws[i], &pieces[i], previous_state);
             }
             let columns = DMatrix::zeros(own.nrows(), prior.directions.ncols());
             let (own_gain, own_spread) = LaterInformation { factor: own.clone(), columns }.posterior(&prior);
             let (gain, mut all) = totals[i].posterior(&prior);
             let kept: Vec<usize> = (0..all.root.ncols()).filter(|&c| all.root.column(c).amax() > 0.0).collect();
             all.root = all.root.select_columns(&kept);
-            let link = link.map(|(link, later)| link.about(&later, &pieces[i], &all));
+            let link = link.map(|(link, later)| link.with_rho(&later, &pieces[i], &all));
             let prior_lower = whitener(&(&totals[i].factor * &prior.root));
             let prior_factor = whitened(&prior_lower, &totals[i].factor);
             let left = whitened(&prior_lower, &(&totals[i].columns - &totals[i].factor * &prior.directions));
-            let inherits = before.as_ref().map(|before| InheritPlan::new(&pieces[i], before, (&prior_factor, &left)));
+            let inherits = previous_state.as_ref().map(|previous_state| InheritPlan::new(&pieces[i], previous_state, (&prior_factor, &left)));
             if i == 0 {
                 plan.constant -= 0.5 * (log_determinant(&prior_lower) + left.norm_squared());
             }
-            before = link.is_some().then(|| filtered(&pieces[i], &own_spread));
+            previous_state = link.is_some().then(|| terminal_root(&pieces[i], &own_spread));
             let (total, root) = (totals[i].factor.clone(), join_columns(&all.root, &all.directions));
             plan.phases.push(PhasePlan { own, total, prior_lower, prior_factor, own_gain, gain, root, link, inherits });
         }
@@ -205,22 +205,22 @@ impl LinkPlan {
         both.rows_mut(0, rows).copy_from(own);
         both.rows_mut(rows, m).copy_from(&(&state_factor * &terminal.sensitivity));
         // the full orthogonal factor of the QR decomposition: the remainder counts too
-        let mut fold = DMatrix::identity(rows + m, rows + m);
+        let mut rotation = DMatrix::identity(rows + m, rows + m);
         let qr = both.qr();
-        qr.q_tr_mul(&mut fold);
+        qr.q_tr_mul(&mut rotation);
         let mut rotated = DMatrix::zeros(rows + m, columns.ncols());
         rotated.rows_mut(rows, m).copy_from(&whitened(&state_lower, &columns));
-        let rotated = &fold * rotated;
+        let rotated = &rotation * rotated;
         let left = rotated.rows(rows, m).norm_squared();
         let all = LaterInformation { factor: qr.r(), columns: rotated.rows(0, rows).into_owned() };
         let log_terms = log_determinant(&lower) + log_determinant(&state_lower) + left;
         let later = LaterInformation { factor: factor.clone(), columns };
         let (rho, N) = (DMatrix::zeros(0, 0), state_factor.transpose() * &state_factor);
-        (LinkPlan { lower, factor, state_lower, state_factor, rho, N, fold }, later, all, log_terms)
+        (LinkPlan { lower, factor, state_lower, state_factor, rho, N, rotation }, later, all, log_terms)
     }
 
     /// Sets ρ = R'S⁻¹(RΨ_KC - D), with D the columns of d for the directions of the mean.
-    fn about(mut self, later: &LaterInformation, piece: &PhaseReduction, all: &PriorRoot) -> LinkPlan {
+    fn with_rho(mut self, later: &LaterInformation, piece: &PhaseReduction, all: &PriorRoot) -> LinkPlan {
         let spread = &self.factor * &terminal(piece).sensitivity;
         let rho = join_columns(&(&spread * &all.root), &(&spread * &all.directions - &later.columns));
         self.rho = self.state_factor.transpose() * whitened(&self.state_lower, &rho);
@@ -231,12 +231,12 @@ impl LinkPlan {
 impl InheritPlan {
     /// Computes -NTP + Σ m(x + PT'm)', with N = R'S⁻¹R of the prior of σ, over the directions m of r and x of the last
     /// state of the phase before.
-    fn new(piece: &PhaseReduction, before: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
+    fn new(piece: &PhaseReduction, previous_state: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
         let T = &inherited(piece).transition;
-        let cross_covariance = &before.root * (T * &before.root).transpose();
+        let cross_covariance = &previous_state.root * (T * &previous_state.root).transpose();
         let directions = factor.transpose() * left;
         let mut transition = -(factor.transpose() * factor) * cross_covariance.transpose();
-        transition += &directions * (&before.directions + &cross_covariance * &directions).transpose();
+        transition += &directions * (&previous_state.directions + &cross_covariance * &directions).transpose();
         InheritPlan { cross_covariance, transition }
     }
 }
@@ -247,7 +247,7 @@ fn spread(law: &PhaseLaw, q: usize) -> PriorRoot {
 }
 
 /// Root and directions of the last state of a phase, from the root and directions of σ given this and earlier phases.
-fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
+fn terminal_root(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     let terminal = terminal(piece);
     PriorRoot {
         root: join_columns(&(&terminal.sensitivity * &own.root), &terminal.root),
@@ -256,11 +256,11 @@ fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
 }
 
 /// Root and directions of σ, from the root and directions of the last state of the phase before.
-fn inherit(law: &PhaseLaw, piece: &PhaseReduction, before: &PriorRoot) -> PriorRoot {
+fn inherit(law: &PhaseLaw, piece: &PhaseReduction, previous_state: &PriorRoot) -> PriorRoot {
     let T = &inherited(piece).transition;
     let own = spread(law, T.nrows());
     PriorRoot {
-        root: compressed(&join_columns(&own.root, &(T * &before.root))),
-        directions: own.directions + T * &before.directions,
+        root: compressed(&join_columns(&own.root, &(T * &previous_state.root))),
+        directions: own.directions + T * &previous_state.directions,
     }
 }

@@ -20,8 +20,8 @@ impl SmootherPlan {
     /// For each phase of a test: the moments of σ given all data, the adjoints of the last state from later phases, and
     /// the adjoints of the inheritance.
     pub(crate) fn smooth(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Vec<SmoothedPhase> {
-        let data = self.gather(pieces, laws);
-        let mut prior = self.first(laws);
+        let data = self.phase_data(pieces, laws);
+        let mut prior = self.first_prior(laws);
         let mut before: Option<DVector<f64>> = None;
         let mut all = Vec::with_capacity(pieces.len());
         for (i, (piece, plan)) in pieces.iter().zip(&self.phases).enumerate() {
@@ -49,18 +49,18 @@ impl SmootherPlan {
 
     /// ℓ of a test, including -½ X'WX of the directions of the mean.
     pub fn likelihood(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> f64 {
-        let (data, plan) = (self.gather(pieces, laws), &self.phases[0]);
-        let residual = &data.totals[0] - &plan.total * self.first(laws);
+        let (data, plan) = (self.phase_data(pieces, laws), &self.phases[0]);
+        let residual = &data.totals[0] - &plan.total * self.first_prior(laws);
         let squares = solved(&plan.prior_lower, residual).norm_squared();
         let constants: f64 = pieces.iter().map(|piece| piece.reduction.constant).sum();
         constants + self.constant - 0.5 * (data.remainder + squares)
     }
 
-    fn first(&self, laws: &PhaseLaws) -> DVector<f64> {
+    fn first_prior(&self, laws: &PhaseLaws) -> DVector<f64> {
         laws.laws[0].mean(self.phases[0].own.ncols(), None)
     }
 
-    fn gather(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> PhaseData {
+    fn phase_data(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> PhaseData {
         let own = |piece: &PhaseReduction| DVector::from_column_slice(&piece.reduction.data);
         let last = pieces.len() - 1;
         let mut data = PhaseData { totals: vec![own(&pieces[last])], laters: vec![None], remainder: 0.0 };
@@ -72,7 +72,7 @@ impl SmootherPlan {
             let state = solved(&link.state_lower, &later - &link.factor * &terminal(&pieces[i]).mean);
             let own = &pieces[i].reduction.data;
             let both = DVector::from_iterator(own.len() + state.len(), own.iter().chain(state.iter()).copied());
-            let rotated = &link.fold * both;
+            let rotated = &link.rotation * both;
             data.remainder += rotated.rows(own.len(), state.len()).norm_squared();
             data.totals.push(rotated.rows(0, own.len()).into_owned());
             data.laters.push(Some(later));
