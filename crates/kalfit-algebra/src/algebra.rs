@@ -68,8 +68,8 @@ pub trait Algebra {
     fn plus(a: Self::Data, b: &Self::Data) -> Self::Data;
     /// a - b.
     fn less(a: Self::Data, b: &Self::Data) -> Self::Data;
-    /// Σ w_k d_ik² over the data: w_0 = `count`, since the first column is a mean over `count` tests, and w_k = 1 for k
-    /// > 0.
+    /// Σ w_k d_ik² over the data, with w_0 = `count` for the first column, which is a mean over `count` tests, and w_k = 1
+    /// for all other columns.
     fn squares(count: Self::Number, data: &Self::Data) -> Self::Number;
 
     /// F' of a phase, q × q, with F the rows and columns `phase_states` of `root`, lower triangular with a nonnegative
@@ -150,11 +150,11 @@ impl<F: Factors> Algebra for F {
         rows_data: Self::Data,
     ) -> Self::Data {
         let (q, columns) = (upper.nrows(), data.ncols());
-        let mut both = upper.joined_columns(data);
-        let left = <F as Factors>::absorb(&mut both, rows.joined_columns(&rows_data), q);
-        *upper = both.first_columns(q);
-        *data = both.last_columns(columns);
-        left.last_columns(columns)
+        let mut joined = upper.joined_columns(data);
+        let folded_rows = <F as Factors>::absorb(&mut joined, rows.joined_columns(&rows_data), q);
+        *upper = joined.first_columns(q);
+        *data = joined.last_columns(columns);
+        folded_rows.last_columns(columns)
     }
 
     #[inline(always)]

@@ -45,17 +45,17 @@ impl Conditional {
 
     /// E[ξ | Cξ = g].
     pub fn mean(&self, mean: &DVector<f64>, values: &[f64]) -> DVector<f64> {
-        let off = DVector::from_column_slice(values) - &self.coefficients * mean;
-        let off = DMatrix::from_column_slice(off.len(), 1, off.as_slice());
-        mean + (&self.known_directions * self.whitened(&off)).column(0)
+        let deviation = DVector::from_column_slice(values) - &self.coefficients * mean;
+        let deviation = DMatrix::from_column_slice(deviation.len(), 1, deviation.as_slice());
+        mean + (&self.known_directions * self.whitened(&deviation)).column(0)
     }
 
     /// log p(Cξ = g).
     pub fn log_density(&self, mean: &DVector<f64>, values: &[f64]) -> f64 {
-        let off = DVector::from_column_slice(values) - &self.coefficients * mean;
-        let off = self.whitened(&DMatrix::from_column_slice(off.len(), 1, off.as_slice()));
+        let deviation = DVector::from_column_slice(values) - &self.coefficients * mean;
+        let deviation = self.whitened(&DMatrix::from_column_slice(deviation.len(), 1, deviation.as_slice()));
         let log_root: f64 = self.upper.diagonal().iter().map(|x| x.abs().ln()).sum();
-        -0.5 * (values.len() as f64 * std::f64::consts::TAU.ln() + off.norm_squared()) - log_root
+        -0.5 * (values.len() as f64 * std::f64::consts::TAU.ln() + deviation.norm_squared()) - log_root
     }
 }
 
@@ -72,11 +72,11 @@ mod tests {
         let sigma = &root * root.transpose();
         let spread = &coefficients * &sigma * coefficients.transpose();
         let gain = &sigma * coefficients.transpose() * spread.clone().try_inverse().unwrap();
-        let off = DVector::from_column_slice(&values) - &coefficients * &mean;
+        let deviation = DVector::from_column_slice(&values) - &coefficients * &mean;
         let covariance = &sigma - &gain * &coefficients * &sigma;
         assert!((&found.root * found.root.transpose() - covariance).amax() < 1e-13);
-        assert!((found.mean(&mean, &values) - (&mean + &gain * &off)).amax() < 1e-13);
-        let quadratic = off.dot(&(spread.clone().try_inverse().unwrap() * &off));
+        assert!((found.mean(&mean, &values) - (&mean + &gain * &deviation)).amax() < 1e-13);
+        let quadratic = deviation.dot(&(spread.clone().try_inverse().unwrap() * &deviation));
         let density = -std::f64::consts::TAU.ln() - 0.5 * (spread.determinant().ln() + quadratic);
         assert!((found.log_density(&mean, &values) - density).abs() < 1e-13);
         let x = DMatrix::from_row_slice(3, 1, &[1.0, -2.0, 0.5]);

@@ -12,8 +12,8 @@ pub fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     let mut pivots: Vec<usize> = Vec::new();
     let floor = RANK_TOLERANCE * basis.amax();
     for c in 0..basis.ncols() {
-        let left = (0..basis.nrows()).filter(|i| !pivots.contains(i));
-        let candidates = left.flat_map(|i| (c..basis.ncols()).map(move |k| (i, k)));
+        let free_rows = (0..basis.nrows()).filter(|i| !pivots.contains(i));
+        let candidates = free_rows.flat_map(|i| (c..basis.ncols()).map(move |k| (i, k)));
         let size = |&(i, k): &(usize, usize)| basis[(i, k)].abs();
         let largest = candidates.max_by(|a, b| size(a).total_cmp(&size(b)).then(b.cmp(a)));
         let Some((row, column)) = largest.filter(|at| size(at) > floor) else { break };

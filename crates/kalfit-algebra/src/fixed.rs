@@ -230,11 +230,11 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
         if rows == N && columns == N {
             return Rows::from_vec(N, N, a.as_flattened().to_vec());
         }
-        let mut some = Vec::with_capacity(rows * columns);
+        let mut block = Vec::with_capacity(rows * columns);
         for row in &a[..rows] {
-            some.extend_from_slice(&row[..columns]);
+            block.extend_from_slice(&row[..columns]);
         }
-        Rows::from_vec(rows, columns, some)
+        Rows::from_vec(rows, columns, block)
     }
 
     #[inline(always)]
@@ -246,7 +246,7 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
 /// Work on row or column K of matrices, with K known to the compiler, which then also knows the numbers of rows and
 /// columns before K and after K.
 trait UnrolledWork {
-    fn at<const K: usize>(&mut self);
+    fn work_at<const K: usize>(&mut self);
 }
 
 /// Largest size N of matrices in this module.
@@ -257,28 +257,28 @@ const MAX_SIZE: usize = 8;
 fn unrolled<const N: usize>(work: &mut impl UnrolledWork) {
     const { assert!(N <= MAX_SIZE, "sizes have a rank each below") };
     if N > 0 {
-        work.at::<0>();
+        work.work_at::<0>();
     }
     if N > 1 {
-        work.at::<1>();
+        work.work_at::<1>();
     }
     if N > 2 {
-        work.at::<2>();
+        work.work_at::<2>();
     }
     if N > 3 {
-        work.at::<3>();
+        work.work_at::<3>();
     }
     if N > 4 {
-        work.at::<4>();
+        work.work_at::<4>();
     }
     if N > 5 {
-        work.at::<5>();
+        work.work_at::<5>();
     }
     if N > 6 {
-        work.at::<6>();
+        work.work_at::<6>();
     }
     if N > 7 {
-        work.at::<7>();
+        work.work_at::<7>();
     }
 }
 
@@ -320,7 +320,7 @@ struct PivotedRows<'a, T, const N: usize> {
 
 impl<T: Real, const N: usize> UnrolledWork for PivotedRows<'_, T, N> {
     #[inline(always)]
-    fn at<const K: usize>(&mut self) {
+    fn work_at<const K: usize>(&mut self) {
         let one = T::splat(1.0);
         let mut row = [T::splat(0.0); N];
         row[K] = one;
@@ -338,11 +338,11 @@ impl<T: Real, const N: usize> UnrolledWork for PivotedRows<'_, T, N> {
             }
         }
         let pivot = row[K].maximum(one); // rounding must not make the pivot less than one
-        let over = pivot.recip();
+        let inverse_pivot = pivot.recip();
         self.factor.root[K] = pivot;
         for j in K + 1..N {
             self.scaled[K][j] = row[j];
-            self.factor.unit[K][j] = row[j] * over;
+            self.factor.unit[K][j] = row[j] * inverse_pivot;
         }
     }
 }
@@ -365,7 +365,7 @@ impl<T: Real, const N: usize> Part for Solve<'_, T, N> {
 
 impl<T: Real, const N: usize> UnrolledWork for Solve<'_, T, N> {
     #[inline(always)]
-    fn at<const K: usize>(&mut self) {
+    fn work_at<const K: usize>(&mut self) {
         let mut row = self.1[K];
         for i in 0..K {
             for j in 0..N {
@@ -395,7 +395,7 @@ impl<T: Real, const N: usize> Part for Absorb<'_, T, N> {
 impl<T: Real, const N: usize> UnrolledWork for Absorb<'_, T, N> {
     /// Applies the Householder reflection that takes column K of the rows into row K of the triangle.
     #[inline(always)]
-    fn at<const K: usize>(&mut self) {
+    fn work_at<const K: usize>(&mut self) {
         let Absorb { upper, data, rows, rows_data } = self;
         let (row, zero) = (&mut upper[K], T::splat(0.0));
         let mut column = [zero; N];
@@ -409,27 +409,27 @@ impl<T: Real, const N: usize> UnrolledWork for Absorb<'_, T, N> {
         // afterwards
         let first = row[K] + length;
         let scale = (length * first).recip_or_zero();
-        let (mut along, mut along_data) = ([zero; N], first * data[K]);
+        let (mut projection, mut projection_data) = ([zero; N], first * data[K]);
         for j in K + 1..N {
-            along[j] = first * row[j];
+            projection[j] = first * row[j];
         }
         for i in 0..N {
             for j in K + 1..N {
-                along[j] = column[i].fma(rows[i][j], along[j]);
+                projection[j] = column[i].fma(rows[i][j], projection[j]);
             }
-            along_data = column[i].fma(rows_data[i], along_data);
+            projection_data = column[i].fma(rows_data[i], projection_data);
         }
         for j in K + 1..N {
-            along[j] = along[j] * scale;
-            row[j] = first * along[j] - row[j];
+            projection[j] = projection[j] * scale;
+            row[j] = first * projection[j] - row[j];
         }
-        along_data = along_data * scale;
-        data[K] = first * along_data - data[K];
+        projection_data = projection_data * scale;
+        data[K] = first * projection_data - data[K];
         for i in 0..N {
             for j in K + 1..N {
-                rows[i][j] = column[i].fnma(along[j], rows[i][j]);
+                rows[i][j] = column[i].fnma(projection[j], rows[i][j]);
             }
-            rows_data[i] = column[i].fnma(along_data, rows_data[i]);
+            rows_data[i] = column[i].fnma(projection_data, rows_data[i]);
         }
         row[K] = length;
     }
@@ -486,7 +486,7 @@ struct UpperColumns<'a, T, const N: usize> {
 
 impl<T: Real, const N: usize> UnrolledWork for UpperColumns<'_, T, N> {
     #[inline(always)]
-    fn at<const K: usize>(&mut self) {
+    fn work_at<const K: usize>(&mut self) {
         let mut column = [T::splat(0.0); N];
         for k in K..N {
             for i in 0..N {

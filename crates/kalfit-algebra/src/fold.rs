@@ -1,6 +1,6 @@
 //! Folding rows into an upper-triangular square-root array by plane rotations.
 
-use kalfit_lanes::{Lanes, MOST, Part};
+use kalfit_lanes::{Lanes, MAX_LANES, Part};
 
 /// Range of a sum of squares that has neither overflowed nor lost digits.
 const SAFE_SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
@@ -78,10 +78,10 @@ impl<T: Lanes> Part for LaneByLane<T> {
 
     #[inline(always)]
     fn run(self) -> Rotation<T> {
-        let (mut c, mut s, mut length) = ([0.0; MOST], [0.0; MOST], [0.0; MOST]);
+        let (mut c, mut s, mut length) = ([0.0; MAX_LANES], [0.0; MAX_LANES], [0.0; MAX_LANES]);
         for lane in 0..T::COUNT {
-            let one = Rotation::of(self.0.lane(lane), self.1.lane(lane));
-            (c[lane], s[lane], length[lane]) = (one.c, one.s, one.length);
+            let lane_rotation = Rotation::of(self.0.lane(lane), self.1.lane(lane));
+            (c[lane], s[lane], length[lane]) = (lane_rotation.c, lane_rotation.s, lane_rotation.length);
         }
         Rotation { c: T::load(&c), s: T::load(&s), length: T::load(&length) }
     }
@@ -162,28 +162,29 @@ impl<T: Lanes> Part for RotateSomeLanes<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let [mut a, mut b] = [[0.0; MOST]; 2];
+        let [mut a, mut b] = [[0.0; MAX_LANES]; 2];
         let Rotation { c, s, length } = self.rotation;
         for (at, (pivot, row)) in self.pivot.iter_mut().zip(self.row).enumerate() {
             pivot.store(&mut a);
             row.store(&mut b);
             for lane in (0..T::COUNT).filter(|&lane| s.lane(lane) != 0.0) {
-                let one = Rotation { c: c.lane(lane), s: s.lane(lane), length: length.lane(lane) };
-                (a[lane], b[lane]) = if at == 0 { (one.length, 0.0) } else { one.turn(a[lane], b[lane]) };
+                let lane_rotation = Rotation { c: c.lane(lane), s: s.lane(lane), length: length.lane(lane) };
+                (a[lane], b[lane]) = if at == 0 { (lane_rotation.length, 0.0) } else { lane_rotation.turn(a[lane], b[lane]) };
             }
             (*pivot, *row) = (T::load(&a), T::load(&b));
         }
     }
 }
 
-/// Folds `row` into R of `info`, and calls `note(k, rotation)` for the rotation with row k of `info`.
+/// Folds `row` into R of `info`, and passes (k, rotation) of the rotation with each row k of `info` to the given
+/// function.
 #[inline(always)]
-pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, Rotation)) {
+pub fn fold_row(info: &mut [f64], row: &mut [f64], mut on_rotation: impl FnMut(usize, Rotation)) {
     let width = row.len();
     for k in 0..width {
         let pivot = &mut info[k * width..][..width];
         let rotation = Rotation::of(pivot[k], row[k]);
-        note(k, rotation);
+        on_rotation(k, rotation);
         rotate_row(pivot, row, k, if rotation.s == 0.0 { LaneRotation::None } else { LaneRotation::All(rotation) });
     }
 }

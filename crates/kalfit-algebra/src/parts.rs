@@ -12,26 +12,26 @@ pub trait ColumnWork {
     /// Number of columns.
     fn count(&self) -> usize;
 
-    /// Does the work for columns `from..from + N`.
-    fn part<const N: usize>(&mut self, from: usize);
+    /// Does the work for `N` columns, the first of which is given.
+    fn part<const N: usize>(&mut self, start_column: usize);
 }
 
 /// Does the work for all columns from `first` on, in blocks of nearly equal width.
 #[inline(always)]
 pub fn by_column_blocks(first: usize, columns: &mut impl ColumnWork) {
-    let (mut from, end) = (first, columns.count());
-    while from < end {
-        let left = end - from;
-        let size = left.div_ceil(left.div_ceil(MAX_COLUMNS));
+    let (mut start_column, end) = (first, columns.count());
+    while start_column < end {
+        let remaining = end - start_column;
+        let size = remaining.div_ceil(remaining.div_ceil(MAX_COLUMNS));
         match size {
-            1 => columns.part::<1>(from),
-            2 => columns.part::<2>(from),
-            3 => columns.part::<3>(from),
-            4 => columns.part::<4>(from),
-            5 => columns.part::<5>(from),
-            _ => columns.part::<MAX_COLUMNS>(from),
+            1 => columns.part::<1>(start_column),
+            2 => columns.part::<2>(start_column),
+            3 => columns.part::<3>(start_column),
+            4 => columns.part::<4>(start_column),
+            5 => columns.part::<5>(start_column),
+            _ => columns.part::<MAX_COLUMNS>(start_column),
         }
-        from += size;
+        start_column += size;
     }
 }
 
@@ -53,12 +53,12 @@ impl<T: Real, const MINUS: bool> ColumnWork for Sum<'_, T, MINUS> {
     }
 
     #[inline(always)]
-    fn part<const N: usize>(&mut self, from: usize) {
+    fn part<const N: usize>(&mut self, start_column: usize) {
         let (width, (a, step)) = (self.y.len(), self.a);
-        let y = chunk_mut::<T, N>(self.y, from);
+        let y = chunk_mut::<T, N>(self.y, start_column);
         let mut sum = *y;
         for k in 0..self.count {
-            let (a, x) = (a[k * step], chunk::<T, N>(self.x, k * width + from));
+            let (a, x) = (a[k * step], chunk::<T, N>(self.x, k * width + start_column));
             for c in 0..N {
                 sum[c] = if MINUS { a.fnma(x[c], sum[c]) } else { a.fma(x[c], sum[c]) };
             }
@@ -81,15 +81,15 @@ impl<T: Real> ColumnWork for Dots<'_, T> {
     }
 
     #[inline(always)]
-    fn part<const N: usize>(&mut self, from: usize) {
+    fn part<const N: usize>(&mut self, start_column: usize) {
         let (width, mut sum) = (self.x.len(), [T::splat(0.0); N]);
-        let rows = &self.rows.as_slice()[from * width..][..N * width];
+        let rows = &self.rows.as_slice()[start_column * width..][..N * width];
         for (k, &a) in self.x.iter().enumerate() {
             for c in 0..N {
                 sum[c] = a.fma(rows[c * width + k], sum[c]);
             }
         }
-        *chunk_mut::<T, N>(self.y, from) = sum;
+        *chunk_mut::<T, N>(self.y, start_column) = sum;
     }
 }
 
@@ -112,15 +112,15 @@ impl<T: Real> ColumnWork for Reflection<'_, T> {
     }
 
     #[inline(always)]
-    fn part<const N: usize>(&mut self, from: usize) {
-        let upper = chunk_mut::<T, N>(self.upper, from);
+    fn part<const N: usize>(&mut self, start_column: usize) {
+        let upper = chunk_mut::<T, N>(self.upper, start_column);
         let mut projection = [self.first; N];
         for c in 0..N {
             projection[c] = projection[c] * upper[c];
         }
         for i in 0..self.rows.nrows() {
             let row = self.rows.row(i);
-            let (a, x) = (row[self.column], chunk::<T, N>(row, from));
+            let (a, x) = (row[self.column], chunk::<T, N>(row, start_column));
             for c in 0..N {
                 projection[c] = a.fma(x[c], projection[c]);
             }
@@ -132,7 +132,7 @@ impl<T: Real> ColumnWork for Reflection<'_, T> {
         for i in 0..self.rows.nrows() {
             let row = self.rows.row_mut(i);
             let a = row[self.column];
-            let x = chunk_mut::<T, N>(row, from);
+            let x = chunk_mut::<T, N>(row, start_column);
             for c in 0..N {
                 x[c] = a.fnma(projection[c], x[c]);
             }
@@ -141,11 +141,11 @@ impl<T: Real> ColumnWork for Reflection<'_, T> {
 }
 
 #[inline(always)]
-fn chunk<T, const N: usize>(row: &[T], from: usize) -> &[T; N] {
-    row[from..from + N].first_chunk().expect("it is that long")
+fn chunk<T, const N: usize>(row: &[T], start_column: usize) -> &[T; N] {
+    row[start_column..start_column + N].first_chunk().expect("it is that long")
 }
 
 #[inline(always)]
-fn chunk_mut<T, const N: usize>(row: &mut [T], from: usize) -> &mut [T; N] {
-    row[from..from + N].first_chunk_mut().expect("it is that long")
+fn chunk_mut<T, const N: usize>(row: &mut [T], start_column: usize) -> &mut [T; N] {
+    row[start_column..start_column + N].first_chunk_mut().expect("it is that long")
 }

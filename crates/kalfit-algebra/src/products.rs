@@ -96,9 +96,9 @@ impl<T: Real> Part for SolveBelow<'_, T> {
     fn run(self) {
         let SolveBelow { upper, b } = self;
         for i in 0..b.nrows() {
-            let (done, row) = b.rows_above_and(i);
+            let (rows_above, row) = b.split_at_row(i);
             let a = (&upper.as_slice()[i..], upper.ncols());
-            by_column_blocks(0, &mut Sum::<T, true> { y: row, a, x: done, count: i });
+            by_column_blocks(0, &mut Sum::<T, true> { y: row, a, x: rows_above, count: i });
             let inverse = T::splat(1.0) / upper[(i, i)];
             for x in row.iter_mut() {
                 *x = *x * inverse;
@@ -120,18 +120,18 @@ impl<T: Real> Part for IdentityPlus<'_, T> {
         let IdentityPlus { rows, upper } = self;
         let w = rows.ncols();
         for i in 0..w {
-            let (done, own) = upper.rows_above_and(i);
+            let (rows_above, pivot_row) = upper.split_at_row(i);
             if rows.nrows() > 0 {
                 let (a, x) = ((&rows.as_slice()[i..], w), rows.as_slice());
-                by_column_blocks(i, &mut Sum::<T, false> { y: own, a, x, count: rows.nrows() });
+                by_column_blocks(i, &mut Sum::<T, false> { y: pivot_row, a, x, count: rows.nrows() });
             }
             if i > 0 {
-                by_column_blocks(i, &mut Sum::<T, true> { y: own, a: (&done[i..], w), x: done, count: i });
+                by_column_blocks(i, &mut Sum::<T, true> { y: pivot_row, a: (&rows_above[i..], w), x: rows_above, count: i });
             }
-            let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make the pivot less than one
+            let pivot = pivot_row[i].maximum(T::splat(1.0)).root(); // rounding must not make the pivot less than one
             let inverse = T::splat(1.0) / pivot;
-            own[i] = pivot;
-            for x in &mut own[i + 1..] {
+            pivot_row[i] = pivot;
+            for x in &mut pivot_row[i + 1..] {
                 *x = *x * inverse;
             }
         }

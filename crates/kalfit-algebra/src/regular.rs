@@ -30,13 +30,13 @@ impl Regular {
     ///
     /// The root is computed in the memory of A; where the result is `None`, A is lost.
     pub fn within(a: DMatrix<f64>) -> Option<Regular> {
-        let found = Regular { root: root(a)? };
-        let inverses = if found.root.nrows() > BLOCK {
-            ESTIMATE_MARGIN * found.largest_inverse()
+        let factorised = Regular { root: root(a)? };
+        let inverses = if factorised.root.nrows() > BLOCK {
+            ESTIMATE_MARGIN * factorised.largest_inverse()
         } else {
-            blocks(found.root.nrows()).map(|block| found.panel(block).norm_squared()).sum()
+            blocks(factorised.root.nrows()).map(|block| factorised.panel(block).norm_squared()).sum()
         };
-        (inverses * MIN_EIGENVALUE <= 1.0).then_some(found)
+        (inverses * MIN_EIGENVALUE <= 1.0).then_some(factorised)
     }
 
     /// The largest eigenvalue of A⁻¹, estimated from below by inverse iteration, which starts from a vector that
@@ -133,8 +133,8 @@ fn blocks(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).step_by(BLOCK).map(move |start| (start, (start + BLOCK).min(n)))
 }
 
-/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`MIN_EIGENVALUE`]. A row k of zeros gets r_kk
-/// = ∞, so that 1/r_kk = 0.
+/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`MIN_EIGENVALUE`]. For a row k of zeros,
+/// r_kk is ∞, so that 1/r_kk = 0.
 fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = a.nrows();
     let empty: Vec<bool> = a.column_iter().map(|column| column.iter().all(|x| *x == 0.0)).collect();
@@ -193,14 +193,14 @@ mod tests {
     fn solutions_and_inverse_are_those_of_the_library() {
         for n in [0, 1, 5, BLOCK, BLOCK + 1, 2 * BLOCK + 17] {
             let a = regular(n);
-            let found = Regular::within(a.clone()).expect("no eigenvalue is below 0.05");
+            let factorised = Regular::within(a.clone()).expect("no eigenvalue is below 0.05");
             let inverse = a.clone().cholesky().expect("it is positive definite").inverse();
             let g = DVector::from_fn(n, |i, _| (i as f64).cos());
-            let (own, wanted) = (found.solve(&g), &inverse * &g);
+            let (own, wanted) = (factorised.solve(&g), &inverse * &g);
             assert!((&own - &wanted).norm() <= 1e-10 * wanted.norm(), "{n}: {} {}", own.norm(), wanted.norm());
-            let apart = (found.clone().into_inverse() - &inverse).norm();
+            let apart = (factorised.clone().into_inverse() - &inverse).norm();
             assert!(apart <= 1e-10 * inverse.norm(), "{n}: {apart} of {}", inverse.norm());
-            assert!((found.into_product() - &a).norm() <= 1e-12 * a.norm(), "{n}");
+            assert!((factorised.into_product() - &a).norm() <= 1e-12 * a.norm(), "{n}");
         }
     }
 
@@ -212,13 +212,13 @@ mod tests {
             a.row_mut(k).fill(0.0);
             a.column_mut(k).fill(0.0);
         }
-        let found = Regular::within(a.clone()).expect("the rest is regular");
+        let factorised = Regular::within(a.clone()).expect("the rest is regular");
         let inverse = crate::symmetric::pseudo_inverse(&a);
-        let apart = (found.clone().into_inverse() - &inverse).norm();
+        let apart = (factorised.clone().into_inverse() - &inverse).norm();
         assert!(apart <= 1e-10 * inverse.norm(), "{apart} of {}", inverse.norm());
         let g = DVector::from_fn(n, |i, _| (i as f64).cos());
-        assert!((found.solve(&g) - &inverse * &g).norm() <= 1e-10 * (&inverse * &g).norm());
-        assert!(!found.has_no_zero_rows());
+        assert!((factorised.solve(&g) - &inverse * &g).norm() <= 1e-10 * (&inverse * &g).norm());
+        assert!(!factorised.has_no_zero_rows());
     }
 
     #[test]

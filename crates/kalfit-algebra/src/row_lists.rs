@@ -55,9 +55,9 @@ impl RowLists {
         &mut self.numbers[range]
     }
 
-    /// Multiplies all numbers by `by`.
-    pub fn scale(&mut self, by: f64) {
-        self.numbers.iter_mut().for_each(|x| *x *= by);
+    /// Multiplies all numbers by one factor.
+    pub fn scale(&mut self, factor: f64) {
+        self.numbers.iter_mut().for_each(|x| *x *= factor);
     }
 
     #[inline]
@@ -65,7 +65,7 @@ impl RowLists {
         if self.ends.is_empty() {
             return row * self.width..(row + 1) * self.width;
         }
-        row.checked_sub(1).map_or(0, |before| self.ends[before])..self.ends[row]
+        row.checked_sub(1).map_or(0, |previous| self.ends[previous])..self.ends[row]
     }
 }
 

@@ -45,15 +45,15 @@ impl<T: Real> Rows<T> {
     /// The matrix with elements `entry(i, k)` in row i and column k, rows × columns.
     #[inline(always)]
     pub fn from_fn(rows: usize, columns: usize, entry: impl Fn(usize, usize) -> T) -> Rows<T> {
-        let mut all = Rows::zeros(rows, columns);
+        let mut filled = Rows::zeros(rows, columns);
         if columns > 0 {
-            for (i, row) in all.data.chunks_exact_mut(columns).enumerate() {
+            for (i, row) in filled.data.chunks_exact_mut(columns).enumerate() {
                 for (k, x) in row.iter_mut().enumerate() {
                     *x = entry(i, k);
                 }
             }
         }
-        all
+        filled
     }
 
     /// The identity matrix, size × size.
@@ -105,7 +105,7 @@ impl<T: Real> Rows<T> {
 
     /// The elements of rows 0..i, and the elements of row i for writing.
     #[inline(always)]
-    pub(crate) fn rows_above_and(&mut self, i: usize) -> (&[T], &mut [T]) {
+    pub(crate) fn split_at_row(&mut self, i: usize) -> (&[T], &mut [T]) {
         let (above, rest) = self.data.split_at_mut(i * self.columns);
         (above, &mut rest[..self.columns])
     }
@@ -121,22 +121,22 @@ impl<T: Real> Rows<T> {
     /// The first `columns` columns of the matrix.
     #[inline(always)]
     pub fn first_columns(&self, columns: usize) -> Rows<T> {
-        self.some_columns(0, columns)
+        self.column_range(0, columns)
     }
 
     /// The last `columns` columns of the matrix.
     #[inline(always)]
     pub fn last_columns(&self, columns: usize) -> Rows<T> {
-        self.some_columns(self.columns - columns, columns)
+        self.column_range(self.columns - columns, columns)
     }
 
     #[inline(always)]
-    fn some_columns(&self, from: usize, columns: usize) -> Rows<T> {
-        let mut some = Rows::zeros(self.rows, columns);
+    fn column_range(&self, from: usize, columns: usize) -> Rows<T> {
+        let mut selected = Rows::zeros(self.rows, columns);
         for i in 0..self.rows {
-            some.row_mut(i).copy_from_slice(&self.row(i)[from..from + columns]);
+            selected.row_mut(i).copy_from_slice(&self.row(i)[from..from + columns]);
         }
-        some
+        selected
     }
 
     /// The first `rows` rows of the matrix.
@@ -148,14 +148,14 @@ impl<T: Real> Rows<T> {
     /// [A B].
     #[inline(always)]
     pub fn joined_columns(&self, other: &Rows<T>) -> Rows<T> {
-        let own = self.columns;
-        let mut both = Rows::zeros(self.rows, own + other.columns);
+        let left_width = self.columns;
+        let mut joined = Rows::zeros(self.rows, left_width + other.columns);
         for i in 0..self.rows {
-            let (left, right) = both.row_mut(i).split_at_mut(own);
+            let (left, right) = joined.row_mut(i).split_at_mut(left_width);
             left.copy_from_slice(self.row(i));
             right.copy_from_slice(other.row(i));
         }
-        both
+        joined
     }
 
     /// A'.

@@ -114,10 +114,10 @@ impl Sparse {
     pub fn after(&self, m: &DMatrix<f64>) -> DMatrix<f64> {
         let mut out = DMatrix::zeros(m.nrows(), self.ncols());
         let height = m.nrows().max(1);
-        for (to, entries) in out.as_mut_slice().chunks_exact_mut(height).zip(self.columns()) {
+        for (target, entries) in out.as_mut_slice().chunks_exact_mut(height).zip(self.columns()) {
             for &(row, a) in entries {
-                let from = &m.as_slice()[row * height..][..height];
-                to.iter_mut().zip(from).for_each(|(to, x)| *to += a * x);
+                let source = &m.as_slice()[row * height..][..height];
+                target.iter_mut().zip(source).for_each(|(target, x)| *target += a * x);
             }
         }
         out
@@ -157,8 +157,8 @@ impl Sparse {
         for k in 0..n {
             own.fill(0.0);
             for &(row, a) in self.column(k) {
-                let from = &m.as_slice()[row * own.len()..][..own.len()];
-                own.iter_mut().zip(from).for_each(|(to, x)| *to += a * x);
+                let source = &m.as_slice()[row * own.len()..][..own.len()];
+                own.iter_mut().zip(source).for_each(|(target, x)| *target += a * x);
             }
             (0..=k).for_each(|i| out[(i, k)] = dot(self.column(i), &own));
         }

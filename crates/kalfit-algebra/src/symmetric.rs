@@ -29,11 +29,11 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let values = order.iter().map(|&i| eigenvalues[i]).collect();
     for c in 0..n {
         // earlier swaps moved columns: follow the swaps to the present place of the wanted column
-        let mut from = order[c];
-        while from < c {
-            from = order[from];
+        let mut place = order[c];
+        while place < c {
+            place = order[place];
         }
-        vectors.swap_columns(c, from);
+        vectors.swap_columns(c, place);
     }
     for mut column in vectors.column_iter_mut() {
         if column[column.icamax()] < 0.0 {
@@ -47,10 +47,10 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
 /// singular matrix; plane rotations never do.
 fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let symmetric = || DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| (a[(i, k)] + a[(k, i)]) * 0.5);
-    let known = a.iter().all(|x| x.is_finite());
+    let all_known = a.iter().all(|x| x.is_finite());
     let found = SymmetricEigen::new(symmetric());
     let all_finite = found.eigenvalues.iter().chain(found.eigenvectors.iter()).all(|x| x.is_finite());
-    if all_finite || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { jacobi(symmetric()) }
+    if all_finite || !all_known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { jacobi(symmetric()) }
 }
 
 /// Largest number of sweeps of rotations; the method converges quadratically, after some six to ten sweeps.
@@ -65,8 +65,8 @@ fn jacobi(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     if size > 0.0 {
         a /= size;
         for _ in 0..MAX_SWEEPS {
-            let off: f64 = (0..n).flat_map(|i| (0..i).map(move |k| (i, k))).map(|at| a[at].abs()).fold(0.0, f64::max);
-            if off <= f64::EPSILON * f64::EPSILON {
+            let largest_off_diagonal: f64 = (0..n).flat_map(|i| (0..i).map(move |k| (i, k))).map(|at| a[at].abs()).fold(0.0, f64::max);
+            if largest_off_diagonal <= f64::EPSILON * f64::EPSILON {
                 break;
             }
             (0..n).flat_map(|i| (0..i).map(move |k| (k, i))).for_each(|(k, i)| rotate(&mut a, &mut vectors, k, i));
@@ -103,11 +103,11 @@ pub fn pseudo_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 pub fn pseudo_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (values, vectors) = eigen(a);
     let floor = values.last().copied().unwrap_or(0.0) * RANK_TOLERANCE;
-    by_eigenvectors(&vectors, values.iter().map(|&v| if v > floor && v > 0.0 { 1.0 / v } else { 0.0 }))
+    from_eigen(&vectors, values.iter().map(|&v| if v > floor && v > 0.0 { 1.0 / v } else { 0.0 }))
 }
 
 /// V diag(values) V'.
-pub fn by_eigenvectors(vectors: &DMatrix<f64>, values: impl Iterator<Item = f64>) -> DMatrix<f64> {
+pub fn from_eigen(vectors: &DMatrix<f64>, values: impl Iterator<Item = f64>) -> DMatrix<f64> {
     let mut scaled = vectors.clone();
     scaled.column_iter_mut().zip(values).for_each(|(mut column, value)| column *= value);
     scaled * vectors.transpose()
@@ -171,13 +171,13 @@ pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64
     matrix
 }
 
-/// Writes DAD, as computed by [`scaled`], to `to`, row-major.
-pub fn write_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut [f64]) {
+/// Writes DAD, as computed by [`scaled`], to a list, row-major.
+pub fn write_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, out: &mut [f64]) {
     let p = scale.len();
     for i in 0..p {
         for j in 0..=i {
             let value = scale[i] * entry(i, j) * scale[j];
-            (to[i * p + j], to[j * p + i]) = (value, value);
+            (out[i * p + j], out[j * p + i]) = (value, value);
         }
     }
 }

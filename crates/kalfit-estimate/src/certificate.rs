@@ -158,7 +158,8 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
     let sigma = place.point.covariance();
     let is_zero = |i: usize| sigma[(i, i)].sqrt() <= ZERO_STD_DEV;
     let nonzero_partners = |i: usize| states.iter().filter(move |&&j| !is_zero(j)).map(move |&j| (i, j));
-    let slope = |i: usize| nonzero_partners(i).map(|(i, j)| residual[(i, j)] * r[(i, j)] * sigma[(j, j)].sqrt()).sum::<f64>();
+    let slope =
+        |i: usize| nonzero_partners(i).map(|(i, j)| residual[(i, j)] * r[(i, j)] * sigma[(j, j)].sqrt()).sum::<f64>();
     let zero: Vec<usize> = states.iter().copied().filter(|&i| is_zero(i) && slope(i) >= 0.0).collect();
     let growth_escape = |parts: &[(usize, f64)]| {
         let mut u = DVector::zeros(r.nrows());

@@ -85,7 +85,8 @@ impl ClassRef<'_> {
         }
         for (i, (moment, information)) in found.iter_mut().enumerate() {
             let transposed_product = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // (R'x)_i
-            let scatter_square: f64 = self.scatter.chunks_exact(self.mean.len().max(1)).map(|x| transposed_product(x).powi(2)).sum();
+            let scatter_square: f64 =
+                self.scatter.chunks_exact(self.mean.len().max(1)).map(|x| transposed_product(x).powi(2)).sum();
             *moment = self.count * (moment.powi(2) - *information) + scatter_square;
         }
     }

@@ -397,7 +397,10 @@ impl Classes {
         let mut buffer = Class::default();
         let chain_stores: Vec<Option<ChainStore>> =
             numbers.iter().map(|&number| self.get(number, &mut buffer).chain.cloned()).collect();
-        let groups = grouped(chain_stores.iter().map(|chain_stores| chain_stores.as_ref().and_then(ChainStore::shape)).enumerate(), lanes);
+        let groups = grouped(
+            chain_stores.iter().map(|chain_stores| chain_stores.as_ref().and_then(ChainStore::shape)).enumerate(),
+            lanes,
+        );
         let of = |k: usize| chain_stores[k].as_ref().expect("it has a shape").chained();
         let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
         groups.into_par_iter().map(pack).collect()

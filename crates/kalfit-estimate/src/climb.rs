@@ -59,7 +59,8 @@ pub(crate) fn step_off_boundary(
     let escape = escape?;
     let mut length = escape.length;
     for _ in 0..8 {
-        if let Some(next) = iterate.try_successor(objective, |iterate| after_escape(objective, map, iterate, &escape, length))
+        if let Some(next) =
+            iterate.try_successor(objective, |iterate| after_escape(objective, map, iterate, &escape, length))
         {
             return Some(next);
         }

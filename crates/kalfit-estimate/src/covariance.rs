@@ -223,9 +223,9 @@ impl PhaseForm {
     fn with_shifted_states(&self, by: isize) -> PhaseForm {
         let shifted_index = |i: usize| i.strict_add_signed(by);
         let form = match &self.form {
-            CoordinateForm::Factor(blocks) => {
-                CoordinateForm::Factor(blocks.iter().map(|block| block.iter().map(|&i| shifted_index(i)).collect()).collect())
-            }
+            CoordinateForm::Factor(blocks) => CoordinateForm::Factor(
+                blocks.iter().map(|block| block.iter().map(|&i| shifted_index(i)).collect()).collect(),
+            ),
             CoordinateForm::StdDevs(root, states) => {
                 CoordinateForm::StdDevs(root.clone(), states.iter().map(|&i| shifted_index(i)).collect())
             }
@@ -238,7 +238,10 @@ impl PhaseForm {
 impl Constraint {
     fn with_shifted_states(&self, by: isize) -> Constraint {
         let shifted_index = |i: usize| i.strict_add_signed(by);
-        Constraint { terms: self.terms.iter().map(|&(i, j, x)| (shifted_index(i), shifted_index(j), x)).collect(), ..self.clone() }
+        Constraint {
+            terms: self.terms.iter().map(|&(i, j, x)| (shifted_index(i), shifted_index(j), x)).collect(),
+            ..self.clone()
+        }
     }
 }
 

@@ -167,7 +167,11 @@ impl Curvature {
 impl UndampedStep {
     fn of(root: &Regular, gradient: &DVector<f64>) -> UndampedStep {
         let whitened_gradient = root.below(gradient);
-        UndampedStep { gain: 0.5 * whitened_gradient.norm_squared(), decrement: whitened_gradient.norm(), step: root.above(whitened_gradient) }
+        UndampedStep {
+            gain: 0.5 * whitened_gradient.norm_squared(),
+            decrement: whitened_gradient.norm(),
+            step: root.above(whitened_gradient),
+        }
     }
 }
 

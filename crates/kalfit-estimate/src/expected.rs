@@ -106,11 +106,12 @@ fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedEr
         }
     }
     let coefficients = population.coefficients.iter().zip(&map.coefficient_scale).map(|(c, s)| c * s).collect();
-    let root = root(&problem.covariance, &frame.covariance_in(&population.covariance)).map_err(|(i, j, by_structure)| {
-        let expected = by_structure * frame.scale[i] * frame.scale[j];
-        let element = Element::Covariance(i, j);
-        ExpectedError::Off { element, found: population.covariance[(i, j)], expected }
-    })?;
+    let root =
+        root(&problem.covariance, &frame.covariance_in(&population.covariance)).map_err(|(i, j, by_structure)| {
+            let expected = by_structure * frame.scale[i] * frame.scale[j];
+            let element = Element::Covariance(i, j);
+            ExpectedError::Off { element, found: population.covariance[(i, j)], expected }
+        })?;
     Ok(Point { mean: by_structure.as_slice().to_vec(), coefficients, root })
 }
 

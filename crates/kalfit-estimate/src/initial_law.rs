@@ -36,7 +36,9 @@ pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option
         DMatrix::from_fn(half.nrows() - all_states + p, half.ncols(), entry)
     });
     let in_units = |half: &DMatrix<f64>| {
-        DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| units[if k < p { k } else { k - p + all_states }] * half[(k, c)])
+        DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| {
+            units[if k < p { k } else { k - p + all_states }] * half[(k, c)]
+        })
     };
     let given = |units: &Arc<Units>| match problem.classes.remote {
         Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.message() }),
@@ -87,5 +89,8 @@ fn joint_posteriors(
         let root = DMatrix::from_fn(p, columns, |i, c| frame.scale[i] * entry(i, c));
         (DVector::from_iterator(p, mean), root)
     };
-    JointPosteriors::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(test_posterior).collect() }
+    JointPosteriors::Here {
+        grouping: units.grouping.clone(),
+        tests: found.tests.par_iter().map(test_posterior).collect(),
+    }
 }

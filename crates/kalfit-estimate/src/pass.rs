@@ -64,7 +64,8 @@ pub(crate) fn pass(
     if let Some(units) = &classes.units {
         return levels::pass(units, point, wanted);
     }
-    let single_classes: Vec<ClassRef<'_>> = classes.unbatched.iter().map(|&number| classes.listed.get(number)).collect();
+    let single_classes: Vec<ClassRef<'_>> =
+        classes.unbatched.iter().map(|&number| classes.listed.get(number)).collect();
     let mut sums = one_by_one(&single_classes, point, wanted);
     sums.value += classes.blocks.constant() + classes.shared.constant();
     classes.blocks.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));

@@ -49,7 +49,7 @@ impl Packed {
     pub(crate) fn covariates<'a, T: Lanes>(&self, class: impl Fn(usize) -> ClassRef<'a>, count: usize) -> Vec<T> {
         let mut covariates = Vec::with_capacity(count);
         for c in 0..count {
-            let mut all = [0.0; kalfit_lanes::MOST];
+            let mut all = [0.0; kalfit_lanes::MAX_LANES];
             for (to, &member) in all.iter_mut().zip(&self.members) {
                 *to = class(member).covariates[c];
             }

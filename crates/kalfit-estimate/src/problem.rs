@@ -142,7 +142,10 @@ impl Problem {
         let Some(restriction) = &self.restriction else { return true };
         let in_free_coordinates = |of: &DMatrix<f64>| self.mean_jacobian.transpose() * of * &self.mean_jacobian;
         let class_sums = self.of_class(class, point, Order::Mean);
-        restriction.informs(&in_free_coordinates(&(&all.mean_information - &class_sums.mean_information)), &in_free_coordinates(&all.mean_information))
+        restriction.informs(
+            &in_free_coordinates(&(&all.mean_information - &class_sums.mean_information)),
+            &in_free_coordinates(&all.mean_information),
+        )
     }
 
     /// The objective and its derivatives without one class of tests, from the [`unrestricted`](Problem::unrestricted)

@@ -51,7 +51,10 @@ fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
 
 /// (A - Σ t_m S_m, P): the matrix with its largest eigenvalue made as small as possible by the t_m, and the density
 /// matrix P that proves the minimum.
-pub(crate) fn minimise_largest_eigenvalue(a: &DMatrix<f64>, multiplier_matrices: &[DMatrix<f64>]) -> (DMatrix<f64>, DMatrix<f64>) {
+pub(crate) fn minimise_largest_eigenvalue(
+    a: &DMatrix<f64>,
+    multiplier_matrices: &[DMatrix<f64>],
+) -> (DMatrix<f64>, DMatrix<f64>) {
     let multiplier_matrices = orthonormal(multiplier_matrices);
     let mut best = a.clone();
     let mut proof = density(a, f64::INFINITY).1;
@@ -94,7 +97,10 @@ fn orthonormal(multiplier_matrices: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
         .filter(|&k| values[k] > floor && values[k] > 0.0)
         .map(|k| {
             let zero = DMatrix::zeros(multiplier_matrices[0].nrows(), multiplier_matrices[0].ncols());
-            multiplier_matrices.iter().zip(vectors.column(k).iter()).fold(zero, |sum, (s, v)| sum + s * (*v / values[k].sqrt()))
+            multiplier_matrices
+                .iter()
+                .zip(vectors.column(k).iter())
+                .fold(zero, |sum, (s, v)| sum + s * (*v / values[k].sqrt()))
         })
         .collect()
 }

@@ -57,13 +57,17 @@ impl Restriction {
         let empty: Vec<usize> = (0..q).filter(|&k| values[k] < UNINFORMED).collect();
         let (pivots, echelon) = echelon(vectors.select_columns(&empty));
         let informed_elements: Vec<usize> = (0..q).filter(|i| !pivots.contains(i)).collect();
-        let informed = DMatrix::from_fn(q, informed_elements.len(), |i, c| by_user[(i, informed_elements[c])] * unit[informed_elements[c]]);
+        let informed = DMatrix::from_fn(q, informed_elements.len(), |i, c| {
+            by_user[(i, informed_elements[c])] * unit[informed_elements[c]]
+        });
         // with a null space [I; X] the product of the non-zero eigenvalues is |C_kept| |I + X'X|
-        let x =
-            DMatrix::from_fn(informed_elements.len(), pivots.len(), |i, c| echelon[(informed_elements[i], c)] * unit[informed_elements[i]] / unit[pivots[c]]);
+        let x = DMatrix::from_fn(informed_elements.len(), pivots.len(), |i, c| {
+            echelon[(informed_elements[i], c)] * unit[informed_elements[i]] / unit[pivots[c]]
+        });
         let spread = DMatrix::identity(pivots.len(), pivots.len()) + x.transpose() * &x;
         let log_units: f64 = informed_elements.iter().map(|&i| unit[i].ln()).sum();
-        let constant = 0.5 * informed_elements.len() as f64 * std::f64::consts::TAU.ln() + log_units - 0.5 * log_det(&spread);
+        let constant =
+            0.5 * informed_elements.len() as f64 * std::f64::consts::TAU.ln() + log_units - 0.5 * log_det(&spread);
         Restriction { informed, constant }
     }
 

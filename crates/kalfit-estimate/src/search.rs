@@ -207,7 +207,9 @@ impl<'a> Search<'a> {
             point = scoring::with_least_squares_mean(&self.problem, point).ok_or(FitError::NotFinite)?;
             let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
             let before = best.as_ref().map(|(sums, _)| sums.value);
-            if let Some((best_sums, at)) = best.take_if(|(best_sums, _)| sums.value.is_nan() || sums.value < best_sums.value) {
+            if let Some((best_sums, at)) =
+                best.take_if(|(best_sums, _)| sums.value.is_nan() || sums.value < best_sums.value)
+            {
                 drop(sums);
                 return self.iterate_from_sums(at, best_sums);
             }
@@ -328,8 +330,9 @@ impl<'a> Search<'a> {
         let Some(root) = unobserved::restored(map, information, start, &iterate.point.root) else { return Ok(iterate) };
         let point = Point { root, ..iterate.point.clone() };
         let max_decrement = iterate.decrement().max(self.settings.tolerance);
-        let fine =
-            |next: &NewtonIterate, iterate: &NewtonIterate| is_as_good(next, iterate) && next.decrement() <= max_decrement;
+        let fine = |next: &NewtonIterate, iterate: &NewtonIterate| {
+            is_as_good(next, iterate) && next.decrement() <= max_decrement
+        };
         Ok(self.try_successor(&mut iterate, point, fine)?.unwrap_or(iterate))
     }
 
@@ -357,7 +360,9 @@ impl<'a> Search<'a> {
         }
         let Some(root) = self.problem.covariance.on_constraints(&root) else { return Ok(None) };
         let point = Point { root, ..iterate.point.clone() };
-        self.try_successor(iterate, point, |next, iterate| is_as_good(next, iterate) && next.decrement() <= max_decrement)
+        self.try_successor(iterate, point, |next, iterate| {
+            is_as_good(next, iterate) && next.decrement() <= max_decrement
+        })
     }
 }
 

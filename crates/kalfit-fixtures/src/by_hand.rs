@@ -101,8 +101,8 @@ pub fn parameter(name: &str, start: Option<f64>, per: Option<usize>, positive: b
     }
 }
 
-/// A model with these columns, text columns and literals, and the time in the first column; the mean and covariance of
-/// the estimated states are free.
+/// A model with the given columns, text columns and literals, and the time in the first column; the mean and covariance
+/// of the estimated states are free.
 pub fn model(
     [columns, texts, literals]: [&[&str]; 3],
     parameters: Vec<Parameter>,

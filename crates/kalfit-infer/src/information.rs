@@ -148,7 +148,8 @@ fn uncertainty_by(
         SingularBlock::Nothing => on_boundary(i),
     };
     let elements = &map.elements;
-    let known = |i: usize, j: usize| !(has_no_error(i) || has_no_error(j) || element_takes_part(unidentified, elements, i, j));
+    let known =
+        |i: usize, j: usize| !(has_no_error(i) || has_no_error(j) || element_takes_part(unidentified, elements, i, j));
     // on the face a correlation of 1 does not move: a standard error of this correlation would be rounding
     let at_end = |i: usize, j: usize| {
         let size = sigma[(i, i)] * sigma[(j, j)];

@@ -62,7 +62,9 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
             let symmetric_ends = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
             let ends = match what {
                 Holdable::StdDev(_) if x > 0.0 => symmetric_ends(x.ln(), e / x).map(f64::exp),
-                Holdable::Correlation(..) if x.abs() < 1.0 => symmetric_ends(x.atanh(), e / (1.0 - x * x)).map(f64::tanh),
+                Holdable::Correlation(..) if x.abs() < 1.0 => {
+                    symmetric_ends(x.atanh(), e / (1.0 - x * x)).map(f64::tanh)
+                }
                 Holdable::StdDev(_) | Holdable::Correlation(..) => return None,
                 _ => symmetric_ends(x, e),
             };

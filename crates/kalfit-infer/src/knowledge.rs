@@ -96,7 +96,8 @@ impl Knowledge {
     /// This knowledge with the quantities that `is_exact` selects treated as known exactly.
     #[must_use]
     pub fn without(&self, is_exact: &dyn Fn(&Estimand) -> bool) -> Knowledge {
-        let uncertain_indices: Vec<usize> = (0..self.quantities.len()).filter(|&i| !is_exact(&self.quantities[i])).collect();
+        let uncertain_indices: Vec<usize> =
+            (0..self.quantities.len()).filter(|&i| !is_exact(&self.quantities[i])).collect();
         Knowledge {
             quantities: uncertain_indices.iter().map(|&i| self.quantities[i].clone()).collect(),
             covariance: self.covariance.select_rows(&uncertain_indices).select_columns(&uncertain_indices),

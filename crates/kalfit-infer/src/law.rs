@@ -264,14 +264,14 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
     let scale = DVector::from_fn(n, |i, _| unit(i));
     let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
-    let by_eigenvectors = || {
+    let from_eigen = || {
         let (values, vectors) = symmetric::eigen(&scaled());
-        symmetric::by_eigenvectors(
+        symmetric::from_eigen(
             &vectors,
             values.iter().map(|&v| if v > MIN_SCALED_EIGENVALUE { v.recip() } else { 0.0 }),
         )
     };
-    let mut inverse = Regular::within(scaled()).map_or_else(by_eigenvectors, Regular::into_inverse);
+    let mut inverse = Regular::within(scaled()).map_or_else(from_eigen, Regular::into_inverse);
     for (j, mut column) in inverse.column_iter_mut().enumerate() {
         column.iter_mut().zip(scale.iter()).for_each(|(x, of_row)| *x = of_row * *x * scale[j]);
     }

@@ -37,7 +37,8 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
     let classes = problem.classes.by_phase(reductions);
     let chains: Option<Vec<&ChainStore>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
     let Some(chains) = chains else { return Vec::new() };
-    let chains: Vec<(&ChainStore, Vec<usize>)> = chains.into_iter().map(|chain_store| (chain_store, chain_store.entering())).collect();
+    let chains: Vec<(&ChainStore, Vec<usize>)> =
+        chains.into_iter().map(|chain_store| (chain_store, chain_store.entering())).collect();
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
     let mut earlier_range = DMatrix::zeros(elements.states(), 0);
     for f in 0..count {
@@ -97,7 +98,7 @@ fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
     symmetric::range(information, |value| value > ZERO_EIGENVALUE)
 }
 
-/// Directions of `range` that are not in the range `earlier_range`, as weights in the user's units.
+/// Directions of `range` that are not in the range `before`, as weights in the user's units.
 fn entered(range: &DMatrix<f64>, earlier_range: &DMatrix<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
     let new = range.ncols().saturating_sub(earlier_range.ncols());
     if new == 0 {

@@ -130,7 +130,10 @@ fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
     let (factor, exact) = factor.split_at(p * p);
     let known = DMatrix::from_row_slice(exact.len().checked_div(p).unwrap_or(0), p, exact);
     let conditional = if exact.is_empty() { None } else { Conditional::new(known, root) };
-    let half = posterior_root(&DMatrix::from_row_slice(p, p, factor), conditional.as_ref().map_or(root, |conditional| &conditional.root));
+    let half = posterior_root(
+        &DMatrix::from_row_slice(p, p, factor),
+        conditional.as_ref().map_or(root, |conditional| &conditional.root),
+    );
     &half * half.transpose()
 }
 

@@ -15,7 +15,7 @@ use crate::{Lanes, Part, Real};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Avx2(__m256d);
 
-macro_rules! by {
+macro_rules! lane_operator {
     ($trait:ident, $method:ident, $intrinsic:ident) => {
         impl $trait for Avx2 {
             type Output = Avx2;
@@ -28,10 +28,10 @@ macro_rules! by {
     };
 }
 
-by!(Add, add, _mm256_add_pd);
-by!(Sub, sub, _mm256_sub_pd);
-by!(Mul, mul, _mm256_mul_pd);
-by!(Div, div, _mm256_div_pd);
+lane_operator!(Add, add, _mm256_add_pd);
+lane_operator!(Sub, sub, _mm256_sub_pd);
+lane_operator!(Mul, mul, _mm256_mul_pd);
+lane_operator!(Div, div, _mm256_div_pd);
 
 impl Neg for Avx2 {
     type Output = Avx2;
@@ -148,7 +148,7 @@ impl Avx2 {
 
 impl Lanes for Avx2 {
     const COUNT: usize = 4;
-    const OWN_SIZES: usize = 6;
+    const MAX_FIXED_SIZE: usize = 6;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Avx2 {

@@ -15,7 +15,7 @@ use crate::{Lanes, Part, Real};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Avx512(__m512d);
 
-macro_rules! by {
+macro_rules! lane_operator {
     ($trait:ident, $method:ident, $intrinsic:ident) => {
         impl $trait for Avx512 {
             type Output = Avx512;
@@ -28,10 +28,10 @@ macro_rules! by {
     };
 }
 
-by!(Add, add, _mm512_add_pd);
-by!(Sub, sub, _mm512_sub_pd);
-by!(Mul, mul, _mm512_mul_pd);
-by!(Div, div, _mm512_div_pd);
+lane_operator!(Add, add, _mm512_add_pd);
+lane_operator!(Sub, sub, _mm512_sub_pd);
+lane_operator!(Mul, mul, _mm512_mul_pd);
+lane_operator!(Div, div, _mm512_div_pd);
 
 impl Neg for Avx512 {
     type Output = Avx512;
@@ -171,7 +171,7 @@ impl Avx512 {
 
 impl Lanes for Avx512 {
     const COUNT: usize = 8;
-    const OWN_SIZES: usize = 10;
+    const MAX_FIXED_SIZE: usize = 10;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Avx512 {

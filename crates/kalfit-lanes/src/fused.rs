@@ -10,7 +10,7 @@ use crate::{Lanes, Real};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Fused(f64);
 
-macro_rules! by {
+macro_rules! operator {
     ($trait:ident, $method:ident) => {
         impl $trait for Fused {
             type Output = Fused;
@@ -22,10 +22,10 @@ macro_rules! by {
     };
 }
 
-by!(Add, add);
-by!(Sub, sub);
-by!(Mul, mul);
-by!(Div, div);
+operator!(Add, add);
+operator!(Sub, sub);
+operator!(Mul, mul);
+operator!(Div, div);
 
 impl Neg for Fused {
     type Output = Fused;
@@ -101,7 +101,7 @@ impl Real for Fused {
 
 impl Lanes for Fused {
     const COUNT: usize = 1;
-    const OWN_SIZES: usize = 0;
+    const MAX_FIXED_SIZE: usize = 0;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Fused {

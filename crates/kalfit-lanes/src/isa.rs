@@ -246,8 +246,8 @@ impl From<Alone> for Width {
 fn detected() -> Vec<Isa> {
     let avx2 = std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
     let avx512 = avx2 && std::is_x86_feature_detected!("avx512f");
-    let some = [(true, IsaKind::Portable), (avx2, IsaKind::Avx2), (avx512, IsaKind::Avx512)];
-    some.into_iter().filter(|(has, _)| *has).map(|(_, kind)| Isa(kind)).collect()
+    let candidates = [(true, IsaKind::Portable), (avx2, IsaKind::Avx2), (avx512, IsaKind::Avx512)];
+    candidates.into_iter().filter(|(has, _)| *has).map(|(_, kind)| Isa(kind)).collect()
 }
 
 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]

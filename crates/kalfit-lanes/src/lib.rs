@@ -27,7 +27,7 @@ pub trait Lanes: Real + Send + Sync {
 
     /// Largest q for which q × q matrices have a separate kernel that keeps the matrices in registers; 0 where the
     /// registers are not known.
-    const OWN_SIZES: usize;
+    const MAX_FIXED_SIZE: usize;
 
     /// Reads the first [`Self::COUNT`] numbers of `from`, a slice of at least [`Self::COUNT`] numbers.
     fn load(from: &[f64]) -> Self;
@@ -38,7 +38,7 @@ pub trait Lanes: Real + Send + Sync {
     /// The number in lane `lane`, 0 ≤ `lane` < [`Self::COUNT`].
     #[inline(always)]
     fn lane(self, lane: usize) -> f64 {
-        let mut all = [0.0; MOST];
+        let mut all = [0.0; MAX_LANES];
         self.store(&mut all);
         all[lane]
     }
@@ -46,7 +46,7 @@ pub trait Lanes: Real + Send + Sync {
     /// Sum of the numbers of all lanes, added in a fixed order.
     #[inline(always)]
     fn sum(self) -> f64 {
-        let mut all = [0.0; MOST];
+        let mut all = [0.0; MAX_LANES];
         self.store(&mut all);
         let mut width = Self::COUNT;
         while width > 1 {
@@ -60,20 +60,20 @@ pub trait Lanes: Real + Send + Sync {
 }
 
 /// Largest [`Lanes::COUNT`] of all types of numbers.
-pub const MOST: usize = 8;
+pub const MAX_LANES: usize = 8;
 
 /// Interleaves `lists` ≥ 1 lists: element i of the result holds `list(k)[i]` in lane k, and lanes beyond the last list
 /// repeat the last list. The result is as long as the first list; no other list may be shorter.
 #[inline(always)]
 pub fn interleaved<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
-    let mut all: [&[f64]; MOST] = [&[]; MOST];
+    let mut all: [&[f64]; MAX_LANES] = [&[]; MAX_LANES];
     for (lane, slice) in all.iter_mut().enumerate() {
         *slice = list(lane.min(lists - 1));
     }
     let size = all[0].len();
     let mut lanes = Vec::with_capacity(size);
     for i in 0..size {
-        let mut one = [0.0; MOST];
+        let mut one = [0.0; MAX_LANES];
         for lane in 0..T::COUNT {
             one[lane] = all[lane][i];
         }
@@ -84,7 +84,7 @@ pub fn interleaved<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]
 
 impl Lanes for f64 {
     const COUNT: usize = 1;
-    const OWN_SIZES: usize = 0;
+    const MAX_FIXED_SIZE: usize = 0;
 
     #[inline(always)]
     fn load(from: &[f64]) -> f64 {
@@ -99,7 +99,7 @@ impl Lanes for f64 {
 
 impl Lanes for Counted {
     const COUNT: usize = 1;
-    const OWN_SIZES: usize = 0;
+    const MAX_FIXED_SIZE: usize = 0;
 
     fn load(from: &[f64]) -> Counted {
         Counted(from[0])
@@ -115,14 +115,14 @@ mod tests {
     use super::*;
 
     /// All operations of a kernel, with one number in each lane.
-    struct Everything([f64; MOST], [f64; MOST]);
+    struct Everything([f64; MAX_LANES], [f64; MAX_LANES]);
 
     impl Kernel for Everything {
         type Output = Vec<Vec<f64>>;
 
         #[inline(always)]
         fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
-            let all = |x: [f64; MOST], y: [f64; MOST]| {
+            let all = |x: [f64; MAX_LANES], y: [f64; MAX_LANES]| {
                 let (x, y) = (T::load(&x), T::load(&y));
                 let (mantissa, exponent) = y.or_one().split();
                 [
@@ -141,10 +141,10 @@ mod tests {
                     exponent,
                 ]
             };
-            let mut found = vec![Vec::new(); MOST];
-            for start in (0..MOST).step_by(T::COUNT) {
-                let part = |of: &[f64; MOST]| {
-                    let mut part = [0.0; MOST];
+            let mut found = vec![Vec::new(); MAX_LANES];
+            for start in (0..MAX_LANES).step_by(T::COUNT) {
+                let part = |of: &[f64; MAX_LANES]| {
+                    let mut part = [0.0; MAX_LANES];
                     part[..T::COUNT].copy_from_slice(&of[start..start + T::COUNT]);
                     part
                 };
@@ -256,12 +256,12 @@ mod tests {
 
         #[inline(always)]
         fn run<T: Lanes>(self) -> [bool; 3] {
-            let mut one_large = [1.0; MOST];
+            let mut one_large = [1.0; MAX_LANES];
             one_large[T::COUNT - 1] = 3.0;
-            let mut one_unknown = [1.0; MOST];
+            let mut one_unknown = [1.0; MAX_LANES];
             one_unknown[T::COUNT - 1] = f64::NAN;
-            let at_most = |of: [f64; MOST]| T::load(&of).at_most(T::splat(2.0));
-            [at_most([1.0; MOST]), at_most(one_large), at_most(one_unknown)]
+            let at_most = |of: [f64; MAX_LANES]| T::load(&of).at_most(T::splat(2.0));
+            [at_most([1.0; MAX_LANES]), at_most(one_large), at_most(one_unknown)]
         }
     }
 

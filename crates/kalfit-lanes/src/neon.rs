@@ -16,7 +16,7 @@ use crate::{Lanes, Real};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Neon(float64x2_t, float64x2_t);
 
-macro_rules! by {
+macro_rules! operator {
     ($trait:ident, $method:ident, $intrinsic:ident) => {
         impl $trait for Neon {
             type Output = Neon;
@@ -29,10 +29,10 @@ macro_rules! by {
     };
 }
 
-by!(Add, add, vaddq_f64);
-by!(Sub, sub, vsubq_f64);
-by!(Mul, mul, vmulq_f64);
-by!(Div, div, vdivq_f64);
+operator!(Add, add, vaddq_f64);
+operator!(Sub, sub, vsubq_f64);
+operator!(Mul, mul, vmulq_f64);
+operator!(Div, div, vdivq_f64);
 
 impl Neg for Neon {
     type Output = Neon;
@@ -138,7 +138,7 @@ impl Real for Neon {
 
 impl Lanes for Neon {
     const COUNT: usize = 4;
-    const OWN_SIZES: usize = 6;
+    const MAX_FIXED_SIZE: usize = 6;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Neon {

@@ -123,7 +123,7 @@ impl Real for Four {
 
 impl Lanes for Four {
     const COUNT: usize = 4;
-    const OWN_SIZES: usize = 0;
+    const MAX_FIXED_SIZE: usize = 0;
 
     #[inline(always)]
     fn load(from: &[f64]) -> Four {

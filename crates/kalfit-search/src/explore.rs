@@ -1,10 +1,10 @@
 //! Search for other maxima, from the best end.
 //!
-//! A certificate holds for the neighbourhood of a point. With several noises, ℓ often has more than one maximum, and
-//! they differ in which noise explains which variation. So each process is removed and may return in another shape,
-//! coinciding processes are merged, levels at zero are tried at other sizes, and the search begins anew from the data
-//! where the start values were given. Of many rows a part is enough: only where ℓ of that part is about as high
-//! elsewhere does the search go there on all rows.
+//! A certificate holds for the neighbourhood of a point. With several noises, ℓ often has several maxima, which differ
+//! in the noise that explains a variation. So each process is removed and may return in another shape, coinciding
+//! processes are merged, levels at zero are tried at other sizes, and the search begins anew from the data where the
+//! start values were given. Where rows are many, a part of the data is explored: a search on all rows follows only
+//! where ℓ of the part is about as high elsewhere.
 
 use crate::coordinates::alike;
 use crate::exchangeable::ordered;
@@ -21,7 +21,7 @@ use kalfit_estimate::{Progress, Stop};
 
 /// Maximal number of rows that the exploration filters, over all runs.
 const MAX_ROWS: usize = 20_000_000;
-/// Ratio of all rows to those of the sample from which on the exploration uses the sample.
+/// Ratio of the number of all rows to the number of rows in the sample from which on the exploration uses the sample.
 const MIN_RATIO: usize = 2;
 /// Maximal number of runs of the filters.
 const MAX_RUNS: usize = 600;
@@ -29,13 +29,13 @@ const MAX_RUNS: usize = 600;
 const MAX_VALUES: usize = 24;
 /// Number of affordable runs below which nothing is explored.
 const MIN_RUNS: usize = 150;
-/// Maximal number of rounds, each about the best end so far.
+/// Maximal number of rounds; each round tries candidates around the best end so far.
 const MAX_ROUNDS: usize = 4;
 /// Maximal number of runs where rows are few.
 const MAX_RUNS_FEW_ROWS: usize = 1800;
-/// Number of rows that these more numerous runs may filter in all.
+/// Maximal number of rows that more than [`MAX_RUNS`] runs may filter in all.
 const FEW_ROWS: usize = 900_000;
-/// Rise of ℓ up to which a higher end is the same maximum, along a direction in which ℓ is level.
+/// Rise of ℓ up to which a higher end counts as the same maximum, reached along a direction in which ℓ is level.
 const SAME_MAXIMUM: f64 = 1e-5;
 
 /// Adds the ends found, and returns how far the exploration went; `all_given`: all start values were given.
@@ -62,7 +62,8 @@ pub(super) fn explore(
     explored
 }
 
-/// Explores a part of the data, and adds the certified ends above the best one that it leads to on all of the data.
+/// Explores a part of the data, searches on all of the data from points where ℓ of the part is high, and adds certified
+/// ends above the best one to `ends`.
 fn explore_sample(
     (objective, hybrid, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
@@ -96,7 +97,8 @@ fn explore_sample(
     Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
 }
 
-/// The starts that lead away from `iterate`, to nearly as high an ℓ, on larger parts of the data as well.
+/// The starts of `elsewhere` from which searches on larger parts of the data do not end near `iterate`, nor far below
+/// in ℓ.
 fn away_from(
     iterate: &[f64],
     elsewhere: Vec<SearchStart>,
@@ -133,7 +135,8 @@ fn by_method(
     }
 }
 
-/// The first higher end found about another end while a value is held; the other end where none is higher.
+/// The first certified end above `end`, by searches from candidates around `end` that hold one value; `end` where none
+/// is higher.
 pub fn around(
     objective: &ProfileLikelihood<'_>,
     end: SearchEnd,
@@ -162,7 +165,8 @@ fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     affordable_runs(objective) > 0
 }
 
-/// Number of runs of the filters that may be spent; 0 where it is too small for a search.
+/// Number of runs of the filters that may be spent; 0 where the number is too small for a search, or the free values
+/// are too many.
 fn affordable_runs(objective: &ProfileLikelihood<'_>) -> usize {
     let rows = objective.rows().max(1);
     let runs = (MAX_ROWS / rows).min(MAX_RUNS).max((FEW_ROWS / rows).min(MAX_RUNS_FEW_ROWS));
@@ -217,16 +221,16 @@ fn explore_from_best(
     Ok(Explored::Part)
 }
 
-/// The points that have not been tried, each once.
+/// The points that have not been tried, without repetitions.
 fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let ordered = places.iter().map(|place| ordered(&objective.twins, place));
     deduplicated(ordered.filter(|place| !tried.contains(place)))
 }
 
-/// The points in alternation, one by the highest ℓ and one by the order of the list, each once. From a point with
-/// nearly as high an ℓ a search is short, but it may lead back to where it came from and use up the runs meant for
-/// others. Half of the `affordable_runs` runs are reserved for searches: points after those that the other half allows are not
-/// evaluated.
+/// The points in alternation, without repetitions: the remaining point with the highest ℓ, then the next point of the
+/// list. A search from a point with a high ℓ is short, but may lead back to a known end and use up runs that other
+/// points need. Half of the `affordable_runs` runs are reserved for searches: ℓ is evaluated at no more points than the
+/// other half allows.
 fn interleaved(
     objective: &ProfileLikelihood<'_>,
     places: Vec<Vec<f64>>,

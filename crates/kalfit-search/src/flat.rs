@@ -1,10 +1,9 @@
-//! Directions in α along which ℓ hardly changes once (μ, Σ) follow: not at all, as for a factor k of a state whose mean
-//! and variance are free, or little, as for the coefficient of a column of 10⁴ ± 1 together with a state with a free
-//! mean.
+//! Directions in α along which ℓ, maximised over (μ, Σ), hardly changes: not at all for a factor k of a state with free
+//! mean and variance, and little for the coefficient of a column of 10⁴ ± 1 together with a state with a free mean.
 //!
-//! The information comes from differences of gradients, whose rounding hides so small a curvature and gives a flat
-//! direction one of either sign. So ℓ itself is evaluated a step to either side: its fall gives the curvature, and
-//! where this is next to nothing compared with what even differences could resolve, the direction is flat.
+//! The information comes from differences of gradients: rounding hides so small a curvature, and gives a flat direction
+//! a curvature of either sign. So ℓ itself is evaluated one step to each side: the fall of ℓ gives the curvature, and
+//! where the curvature is far below the resolution of differences, the direction is flat.
 
 use crate::joint::{InformationDirection, KnownEigenvalue};
 use crate::profile_likelihood::ProfileLikelihood;
@@ -12,32 +11,35 @@ use crate::ridge::{Ridge, RidgeStart};
 use crate::{Coordinate, DynamicFit};
 use kalfit_model::Population;
 
-/// Length of a step, in logarithms and in parts of a value.
+/// Length of a step: of a logarithm, or of another value relative to the size of that value.
 const STEP: f64 = 0.1;
-/// Fall of ℓ, in units of its rounding, that a step should reach: shorter steps are made longer.
+/// Fall of ℓ over a step, in units of the rounding of ℓ, below which the step is lengthened.
 const FALL_IN_ROUNDINGS: f64 = 100.0;
-/// Rounding of ℓ, relative to its size.
+/// Rounding of ℓ, relative to |ℓ|.
 const ROUNDING: f64 = 1e-13;
 /// Longest step, in standard errors.
 const MAX_STANDARD_ERRORS: f64 = 0.1;
-/// Curvature, relative to that of each coordinate alone, that differences cannot distinguish from zero.
+/// Curvature along a direction, relative to the sum over single coordinates, that differences cannot distinguish from
+/// zero.
 const UNRESOLVED_CURVATURE: f64 = 1e-8;
 /// Part of the expected curvature up to which a direction is flat.
 const FLAT_PART: f64 = 0.05;
-/// Share of α in a direction above which it does not come from rounding: it may be this small for a mean that grows
+/// Share of α in a direction above which the share does not come from rounding: shares are small where a mean grows
 /// almost without bound together with a time constant.
 const MIN_SHARE: f64 = 1e-6;
-/// Standard error of a logarithm above which it is all but unknown.
+/// Standard error above which a logarithm counts as undetermined.
 const UNKNOWN_ERROR: f64 = 2.0;
-/// Change of ℓ below which it may be rounding where measurements are nearly exact.
+/// Change of ℓ below which the change may be rounding, where measurements are nearly exact.
 const MIN_VISIBLE_CHANGE: f64 = 1e-6;
-/// Largest part of the variance that may be due to other directions: above it, ℓ says little about this one.
+/// Largest part of a variance that may come from other directions: above this part, ℓ hardly determines the examined
+/// direction.
 const MAX_OTHER_VARIANCE: f64 = 0.5;
 /// Distance from the top of a ridge, in standard errors, within which α is at the top.
 const TOP_DISTANCE: f64 = 3e-2;
 /// Ratio of the falls of ℓ to the two sides below which ℓ falls evenly.
 const MAX_FALL_RATIO: f64 = 2.0;
-/// Relative difference above which the curvature from the fall of ℓ replaces that from differences which are not faint.
+/// Relative difference above which the curvature from the fall of ℓ replaces the curvature from differences, along a
+/// direction that is not faint.
 const MIN_DEVIATION: f64 = 0.5;
 /// Number of directions above which none is examined: each costs up to [`MAX_STEPS`] runs of the filters to either side.
 const MAX_DIRECTIONS: usize = 8;
@@ -57,11 +59,11 @@ pub fn examined_eigenvalues(objective: &ProfileLikelihood<'_>, fit: &DynamicFit)
     faint.iter().filter_map(|direction| eigenvalue_along(objective, fit, direction)).collect()
 }
 
-/// The eigenvalue along a direction from ℓ itself, where that is better known than from differences.
+/// The eigenvalue along a direction, from values of ℓ; `None` where the eigenvalue from differences is better.
 ///
 /// ```text
-/// 1/p = r + v²/λ      p the curvature of ℓ where a component of α moves and all else follows, v the direction's part of it,
-///                     r the variance that it has by the other directions
+/// 1/p = r + v²/λ      p: curvature of ℓ in one component of α, maximised over all else
+///                     v: that component of the direction      r: variance of the component from other directions
 /// ```
 fn eigenvalue_along(
     objective: &ProfileLikelihood<'_>,
@@ -82,7 +84,8 @@ fn eigenvalue_along(
     (direction.is_faint() || is_other).then(|| direction.with(curvature))
 }
 
-/// The curvature along a direction where gradients determine that of a ridge along it, and α is at its top.
+/// The curvature along a direction, from gradients to both sides of a ridge; `None` unless the direction is along a
+/// ridge and α is at the top of the ridge.
 fn curvature_by_gradients(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -118,13 +121,13 @@ struct Fall {
     length: f64,
     least: f64,
     mean: f64,
-    /// ℓ falls evenly to both sides, as a parabola does.
+    /// Whether ℓ falls by about as much to one side as to the other, as a parabola does.
     is_even: bool,
-    /// Curvature from differences, or the least that they could resolve.
+    /// Curvature from differences, or the least curvature that differences resolve, if larger.
     promised: f64,
 }
 
-/// Fall of ℓ along a direction; `None` where ℓ is not defined to both sides.
+/// Fall of ℓ along a direction; `None` where ℓ is not defined on both sides.
 fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &InformationDirection) -> Option<Fall> {
     let home = fit.estimate.log_likelihood;
     let promised = direction.curvature.abs().max(UNRESOLVED_CURVATURE * own_curvature(fit, direction));
@@ -141,8 +144,8 @@ fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &Informa
     Some(Fall { length, least, mean: 0.5 * (one + other), is_even, promised })
 }
 
-/// ℓ near some values, on the top of a possible ridge along a direction: α moves on across it, because a ridge of
-/// several values is curved.
+/// ℓ at the top of a possible ridge along a direction, near given values: α moves on across the direction, because a
+/// ridge in several values is curved.
 fn on_ridge(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -160,7 +163,7 @@ fn on_ridge(
     best
 }
 
-/// Curvature along a direction from the coordinates of α one by one, where nothing follows.
+/// Σ |curvature of ℓ in coordinate s of α| × (component s of the direction)², everything else fixed.
 fn own_curvature(fit: &DynamicFit, direction: &InformationDirection) -> f64 {
     let of = |(s, part): (usize, &f64)| fit.joint.curvature(s).abs() * part * part;
     direction.alpha.iter().enumerate().map(of).sum()

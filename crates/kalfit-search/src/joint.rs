@@ -1,9 +1,9 @@
-//! Joint observed information of (α, μ, Σ), from differences of exact gradients; exact for a value that scales all
-//! noise.
+//! Joint observed information of (α, μ, Σ), from differences of exact gradients; without differences where one value
+//! scales all noise.
 //!
-//! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values that no test has in common change at
-//! the same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests
-//! are eliminated test by test, so no matrix of that size is ever formed.
+//! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values without a common test change at the
+//! same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests are
+//! eliminated test by test, so that no matrix over all values is ever formed.
 
 use std::collections::BTreeMap;
 
@@ -17,71 +17,74 @@ use crate::sparsity::JacobianSparsity;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{NEGLIGIBLE_INFORMATION, NoiseInformation, Tangent};
 
-/// Number of values up to which values of single tests are not eliminated test by test.
+/// Number of free values up to which values of single tests are not eliminated test by test.
 const DENSE_VALUES: usize = 24;
-/// Size of the slope and the curvature of a logarithm below which these count as zero.
+/// Slope and curvature of ℓ in a logarithm below which both count as zero.
 pub(crate) const FLAT_LOGARITHM: f64 = 1e-7;
-/// Scaled information along a direction below which ℓ itself is evaluated on both sides.
+/// Eigenvalue of the scaled information below which ℓ itself is evaluated to both sides along the eigenvector.
 const FAINT_EIGENVALUE: f64 = 1e-5;
-/// Scaled information along a direction below which the result of differences may be rounding.
+/// Eigenvalue of the scaled information below which a result of differences may be rounding.
 const ROUNDING_EIGENVALUE: f64 = 1e-6;
 /// Scaled eigenvalue of the information up to which a direction is flat.
 pub(crate) const FLAT_EIGENVALUE: f64 = 1e-10;
-/// Component of a unit direction, in coordinates of unit curvature, above which a coordinate takes part in it.
+/// Component of a unit vector, in coordinates of unit curvature, above which the coordinate takes part in the
+/// direction.
 pub(crate) const MIN_COMPONENT: f64 = 1e-3;
-/// Curvature along a factor of Σ, in units of the largest remaining score, up to which it may come from that score
-/// alone.
+/// Curvature in a coordinate of F, Σ = FF', in units of the largest remaining score, up to which the curvature may come
+/// from that score alone.
 const MAX_SCORE_CURVATURE: f64 = 10.0;
-/// Score along that factor, in units of its standard error, up to which such a curvature is discarded.
+/// Score in a coordinate of F, relative to the square root of the information, up to which such a curvature is
+/// discarded.
 const MAX_REMAINING_SCORE: f64 = 1e-9;
 
 /// The information in coordinates of α and along the tangent basis of (μ, Σ).
 #[derive(Debug, Clone)]
 pub struct JointInformation {
-    /// Values that move.
+    /// Indices of the values that move.
     pub(crate) active: Vec<usize>,
-    /// Values of single tests, by test.
+    /// Indices of the values that are eliminated test by test, one list per test.
     private: Vec<Vec<usize>>,
-    /// Values that are not of single tests.
+    /// Indices of the values that are not eliminated test by test.
     shared: Vec<usize>,
-    /// Nonzero entries of -∂²ℓ/∂α∂α, both triangles.
+    /// Nonzero entries of -∂²ℓ/∂α∂α by (row, column), both triangles.
     own: BTreeMap<(usize, usize), f64>,
-    /// -∂²ℓ/∂α∂(μ, Σ), a row for each value.
+    /// -∂²ℓ/∂α∂(μ, Σ), values × tangent basis.
     cross: DMatrix<f64>,
-    /// -∂²ℓ/∂(μ, Σ)².
+    /// -∂²ℓ/∂(μ, Σ)² along the tangent basis, m × m.
     inner: DMatrix<f64>,
 }
 
-/// Solution of information × step = gradient, with negative curvatures replaced by their absolute values.
+/// The step d with H d = g, where H is the information and g the gradient; negative eigenvalues of H are replaced by
+/// absolute values.
 #[derive(Debug, Clone)]
 pub(crate) struct JointStep {
-    /// Step in α; zero for values that do not move.
+    /// Step of each coordinate of α; zero for values that do not move.
     pub(crate) alpha: Vec<f64>,
     /// Step along the tangent basis of (μ, Σ).
     pub(crate) inner: DVector<f64>,
-    /// Newton decrement: the predicted rise of ℓ is half its square.
+    /// Newton decrement δ; the predicted rise of ℓ is ½ δ².
     pub(crate) decrement: f64,
-    /// ℓ is concave, except along flat directions.
+    /// Whether ℓ is concave, except along flat directions.
     pub(crate) concave: bool,
 }
 
 /// A direction in α and (μ, Σ), an eigenvector of the scaled information.
 #[derive(Debug, Clone)]
 pub(crate) struct InformationDirection {
-    /// Component in α, its largest entry one; zero for values that are not shared.
+    /// Component of the direction in α, with a largest entry of size one; zero for values that are not shared.
     pub(crate) alpha: Vec<f64>,
-    /// Size of that largest entry in coordinates of unit curvature, where the direction has length one.
+    /// Largest component of the unit eigenvector in α, in coordinates of unit curvature.
     pub(crate) share: f64,
     /// -∂²ℓ along the direction, from differences.
     pub(crate) curvature: f64,
     /// Index of the eigenvector of the information.
     pub(crate) number: usize,
-    /// Eigenvalue that a curvature of one along the direction gives.
+    /// Eigenvalue of the scaled information per unit of curvature along the direction.
     unit: f64,
 }
 
 impl InformationDirection {
-    /// Eigenvalue that this curvature along the direction gives.
+    /// Eigenvalue of the scaled information for a given curvature along the direction.
     pub(crate) fn eigenvalue_of(&self, curvature: f64) -> f64 {
         self.unit * curvature
     }
@@ -107,18 +110,19 @@ impl InformationDirection {
     }
 }
 
-/// An eigenvalue of the scaled information that is known better than from differences; zero for a flat direction.
+/// An eigenvalue of the scaled information that is known better than from differences; `value` is zero for a flat
+/// direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownEigenvalue {
     number: usize,
     value: f64,
-    /// Largest component of a value of α in the direction.
+    /// Largest component of the unit eigenvector in α.
     share: f64,
 }
 
 impl JointInformation {
-    /// The information at a solved α among the values that are `active`. With two-sided differences (`central`) it is
-    /// accurate to about 1e-7.
+    /// The information at a solved α over the `active` values; with two-sided differences (`central`), accurate to
+    /// about 1e-7.
     pub(crate) fn new(
         objective: &ProfileLikelihood<'_>,
         iterate: &ProfilePoint,
@@ -161,14 +165,14 @@ impl JointInformation {
         joint.without_flat(objective, iterate)
     }
 
-    /// The information of a value that scales all noise, which needs no differences.
+    /// The information where one value scales all noise, without differences.
     fn of_scale(exact: &NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> JointInformation {
         let own = list.iter().map(|&s| ((s, s), exact.own)).collect();
         let cross = DMatrix::from_row_slice(1, inner.nrows(), exact.cross.as_slice());
         JointInformation { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
     }
 
-    /// Removes logarithms along which ℓ has neither slope nor curvature: what differences give for them is rounding.
+    /// Removes logarithms along which ℓ has neither slope nor curvature: differences give only rounding there.
     fn without_flat(mut self, objective: &ProfileLikelihood<'_>, iterate: &ProfilePoint) -> JointInformation {
         let flat = |s: usize| {
             objective.coordinates[s].log
@@ -183,23 +187,23 @@ impl JointInformation {
         self
     }
 
-    /// Whether no moving value belongs to a single test.
+    /// Whether no value is eliminated test by test.
     pub fn is_of_shared_values(&self) -> bool {
         self.private.is_empty()
     }
 
-    /// Values that are not of single tests.
+    /// Indices of the values that are not eliminated test by test.
     pub fn shared(&self) -> &[usize] {
         &self.shared
     }
 
-    /// The information with no value eliminated separately.
+    /// The information with no value eliminated test by test.
     #[cfg(test)]
     pub(crate) fn undivided(&self) -> JointInformation {
         JointInformation { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
     }
 
-    /// The whole information matrix: the values, then the tangent basis.
+    /// Information matrix over the active values, then the tangent basis.
     #[cfg(test)]
     pub(crate) fn undivided_matrix(&self) -> DMatrix<f64> {
         self.undivided().information()
@@ -210,7 +214,7 @@ impl JointInformation {
         0.5 * (at(s, t) + at(t, s))
     }
 
-    /// Rows of a private block against (shared values, inner coordinates).
+    /// -∂²ℓ between the values of a block and (shared values, tangent basis), block × (k + m).
     fn border(&self, block: &[usize]) -> DMatrix<f64> {
         let k = self.shared.len();
         DMatrix::from_fn(block.len(), k + self.inner.nrows(), |i, c| {
@@ -227,7 +231,7 @@ impl JointInformation {
         self.reduced(&vec![0.0; self.cross.nrows()], &DVector::zeros(self.inner.nrows()), 0.0).0
     }
 
-    /// Information matrix and gradient with private values eliminated, and whether ℓ is concave in those.
+    /// Information matrix and gradient with private values eliminated, and whether ℓ is concave in the private values.
     fn reduced(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> (DMatrix<f64>, DVector<f64>, bool) {
         let (k, m) = (self.shared.len(), self.inner.nrows());
         let mut matrix = DMatrix::zeros(k + m, k + m);
@@ -252,7 +256,7 @@ impl JointInformation {
         (matrix, right, concave)
     }
 
-    /// The information with these noise levels, (slot, exponent), by their variances.
+    /// The information with some noise levels, (slot, exponent), expressed in variances.
     pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> JointInformation {
         let mut joint = self.clone();
         for &(s, exponent) in levels {
@@ -262,13 +266,13 @@ impl JointInformation {
         joint
     }
 
-    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; a curvature of the wrong sign is
-    /// replaced by its absolute value.
+    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; negative eigenvalues are replaced by
+    /// absolute values.
     pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> JointStep {
         self.step_with_pinned(gradient, inner, damping, &[])
     }
 
-    /// Newton's step while some shared values make given steps, (slot, step).
+    /// Newton's step with given steps of some shared values, (slot, step).
     pub(crate) fn step_with_pinned(
         &self,
         gradient: &[f64],
@@ -304,16 +308,16 @@ impl JointInformation {
         JointStep { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
     }
 
-    /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where ℓ curves
-    /// upward nowhere.
+    /// The direction in shared values along which ℓ curves upward most, with a largest entry of size one; `None` where
+    /// ℓ curves upward nowhere.
     pub(crate) fn upward(&self) -> Option<Vec<f64>> {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let (worst, _) = values.iter().enumerate().filter(|(_, v)| **v < -1e-6).min_by(|a, b| a.1.total_cmp(b.1))?;
         self.direction(&scale, vectors.column(worst))
     }
 
-    /// The direction in shared values of a scaled eigenvector, its largest entry one; `None` where the eigenvector has
-    /// no part in them.
+    /// The direction in shared values of an eigenvector of the scaled information, with a largest entry of size one;
+    /// `None` where the eigenvector has no component in shared values.
     fn direction(&self, scale: &[f64], vector: DVectorView<'_, f64>) -> Option<Vec<f64>> {
         let mut direction = vec![0.0; self.cross.nrows()];
         self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vector[i]);
@@ -321,8 +325,8 @@ impl JointInformation {
         (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
     }
 
-    /// Newton's step in shared values, restricted to be across this direction; flat directions are left out. `None`
-    /// where some value belongs to a single test.
+    /// Newton's step in shared values orthogonal to a direction, in coordinates of unit curvature, without faint
+    /// eigenvectors. `None` where some value belongs to a single test.
     pub(crate) fn onto_ridge(&self, along: &[f64], gradient: &[f64]) -> Option<Vec<f64>> {
         let (profile_information, scale, ridge) = self.ridge(along)?;
         let (n, ridge) = (scale.len(), ridge.normalize());
@@ -330,7 +334,7 @@ impl JointInformation {
         let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * profile_information[(i, k)] * scale[k]);
         let (values, vectors) = symmetric::eigen(&(&across * scaled * &across));
         let turned = values.iter().map(|&value| if value > FAINT_EIGENVALUE { value.recip() } else { 0.0 });
-        let inverse = symmetric::by_eigenvectors(&vectors, turned);
+        let inverse = symmetric::from_eigen(&vectors, turned);
         let own = DVector::from_fn(n, |i, _| scale[i] * gradient[self.shared[i]]);
         let step = &across * (inverse * (&across * own));
         let mut all = vec![0.0; gradient.len()];
@@ -338,8 +342,8 @@ impl JointInformation {
         Some(all)
     }
 
-    /// Profile information of the shared values, the scale that brings it to a unit diagonal, and the direction in that
-    /// scale.
+    /// Profile information of the shared values, the scale that gives this matrix a unit diagonal, and the direction
+    /// `along` in scaled coordinates.
     fn ridge(&self, along: &[f64]) -> Option<(DMatrix<f64>, Vec<f64>, DVector<f64>)> {
         let profile_information = self.profile_information()?;
         let scale: Vec<f64> = symmetric::sizes(&profile_information).into_iter().map(f64::recip).collect();
@@ -347,16 +351,17 @@ impl JointInformation {
         Some((profile_information, scale, ridge))
     }
 
-    /// Variance of the combination of α that [`onto_ridge`](Self::onto_ridge) holds, due to the other eigenvectors: to
-    /// those that differences resolve, and to the faint ones. `None` where some value belongs to a single test.
+    /// Variance of the combination of α that [`onto_ridge`](Self::onto_ridge) does not change, in two parts: from other
+    /// eigenvectors that differences resolve, and from other faint eigenvectors. `None` where some value belongs to a
+    /// single test.
     pub(crate) fn other_variances(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let (_, units, ridge) = self.ridge(&direction.alpha)?;
         let weights: Vec<f64> = ridge.iter().zip(&units).map(|(own, unit)| own / unit / ridge.norm_squared()).collect();
         Some(self.variances_of(&weights, direction))
     }
 
-    /// Variance of a weighted sum of shared values due to all eigenvectors but one: to those that differences resolve,
-    /// and to the faint ones.
+    /// Variance of a weighted sum of shared values from all eigenvectors but one, in two parts: from eigenvectors that
+    /// differences resolve, and from faint eigenvectors.
     fn variances_of(&self, weights: &[f64], but: &InformationDirection) -> [f64; 2] {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let part = |k: usize| -> f64 { weights.iter().enumerate().map(|(i, w)| w * scale[i] * vectors[(i, k)]).sum() };
@@ -374,8 +379,8 @@ impl JointInformation {
         (0..self.shared.len()).max_by(|&i, &k| size(i).total_cmp(&size(k)))
     }
 
-    /// Variance of the value with the largest component in a direction, in steps along that direction, due to the other
-    /// eigenvectors: to those that differences resolve, and to the faint ones.
+    /// Variance of the value with the largest component in a direction, in steps along that direction, in two parts:
+    /// from other eigenvectors that differences resolve, and from other faint eigenvectors.
     pub(crate) fn variances_of_most(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let most = self.largest_component(&direction.alpha)?;
         let mut weights = vec![0.0; self.shared.len()];
@@ -383,8 +388,8 @@ impl JointInformation {
         Some(self.variances_of(&weights, direction))
     }
 
-    /// Curvature along a direction that is lost where all values but its largest component adapt: b'H⁻¹b among those
-    /// values, b = -∂²ℓ along the direction and each value. `None` where some value belongs to a single test.
+    /// Loss of curvature along a direction where all shared values but the largest component adapt: b'H⁻¹b over the
+    /// adapting values, b = -∂²ℓ along the direction and each value. `None` where some value belongs to a single test.
     pub(crate) fn curvature_lost(&self, along: &[f64], bends: &[f64]) -> Option<f64> {
         let (profile_information, held) = (self.profile_information()?, self.largest_component(along)?);
         let others = profile_information.remove_row(held).remove_column(held);
@@ -396,7 +401,7 @@ impl JointInformation {
         Some(known.map(|(value, part)| part * part / value).sum())
     }
 
-    /// Profile information of the shared values, (μ, Σ) following them; `None` where some value belongs to a single
+    /// Profile information of the shared values, maximised over (μ, Σ); `None` where some value belongs to a single
     /// test.
     pub(crate) fn profile_information(&self) -> Option<DMatrix<f64>> {
         if !self.private.is_empty() {
@@ -428,13 +433,13 @@ impl JointInformation {
         (0..values.len()).filter_map(along).collect()
     }
 
-    /// Covariances of all coordinates: the inverse of the information, flat directions left out.
+    /// Covariances of all coordinates: the inverse of the information, without flat directions.
     #[cfg(test)]
     pub(crate) fn covariances(&self) -> ValueCovariances {
         self.covariances_with(&[])
     }
 
-    /// Covariances of all coordinates, with these eigenvalues in place of those from differences.
+    /// Covariances of all coordinates, with `known` eigenvalues in place of eigenvalues from differences.
     pub fn covariances_with(&self, known: &[KnownEigenvalue]) -> ValueCovariances {
         let mut covariances = self.shared_covariances(&self.information(), known);
         for block in &self.private {
@@ -448,13 +453,13 @@ impl JointInformation {
         covariances
     }
 
-    /// Covariances from another information in the shared values and along the tangent basis; `None` where values of
-    /// single tests are among those that move.
+    /// Covariances from another information matrix over the shared values and the tangent basis; `None` where some
+    /// value is eliminated test by test.
     pub fn covariances_of(&self, information: &DMatrix<f64>) -> Option<ValueCovariances> {
         self.is_of_shared_values().then(|| self.shared_covariances(information, &[]))
     }
 
-    /// Covariances without the values of single tests.
+    /// Covariances of the shared values and along the tangent basis, from an information matrix of this size.
     fn shared_covariances(&self, information: &DMatrix<f64>, known: &[KnownEigenvalue]) -> ValueCovariances {
         let (whole, flat, directions) = inverse(information, (known, self.shared.len()));
         let mut alpha = vec![None; self.cross.nrows()];
@@ -464,8 +469,8 @@ impl JointInformation {
         ValueCovariances { alpha, shared: self.shared.clone(), whole, flat: directions }
     }
 
-    /// Completes entries on both sides of the diagonal: where a value stands in matrices of the structures only, its
-    /// column has no entries for values of the tests, but their columns have one for it.
+    /// Copies each entry (s, t) to (t, s) where that is absent: the column of a value that occurs only in matrices of
+    /// the covariance structures has no entries for values of tests.
     fn symmetrise(&mut self) {
         for ((s, t), value) in self.own.clone() {
             self.own.entry((t, s)).or_insert(value);
@@ -491,13 +496,13 @@ pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<
     let positive = values.iter().all(|v| *v > -1e-6);
     let turned =
         values.iter().map(|v| if v.abs() > FLAT_EIGENVALUE { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
-    let inverse = symmetric::by_eigenvectors(&vectors, turned);
+    let inverse = symmetric::from_eigen(&vectors, turned);
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
 
-/// The inverse where some eigenvalues are known, which coordinates take part in a flat direction, and the directions
-/// that are known to be flat. The first `of_alpha` coordinates are those of α: they take part in a known direction by
-/// their size relative to the largest one among them.
+/// The inverse with `known` eigenvalues; whether each coordinate takes part in a flat direction; the directions that
+/// are known to be flat. The first `of_alpha` coordinates are coordinates of α; in a known direction, [`MIN_COMPONENT`]
+/// is relative to the largest component in α there.
 fn inverse(
     matrix: &DMatrix<f64>,
     (known, of_alpha): (&[KnownEigenvalue], usize),
@@ -516,7 +521,7 @@ fn inverse(
         (0..n).filter(|&i| takes_part(i, k)).for_each(|i| flat[i] = true);
     }
     let turned = (0..n).map(|k| if is_flat(k) { 0.0 } else { values[k].recip() });
-    let inverse = symmetric::by_eigenvectors(&vectors, turned);
+    let inverse = symmetric::from_eigen(&vectors, turned);
     let part = |i: usize, k: usize| if takes_part(i, k) { vectors[(i, k)] } else { 0.0 };
     let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * part(i, k));
     let whole = DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
@@ -533,8 +538,8 @@ fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     (scale, values, vectors)
 }
 
-/// The information along the tangent basis, without coordinates that the tests do not inform: remainders of rounding,
-/// and the curvature of Σ = FF' that comes from the remaining score.
+/// The information along the tangent basis, with zeros for coordinates that the tests do not determine: coordinates
+/// with nothing but rounding, and curvature of Σ = FF' from the remaining score alone.
 fn inner_information(tangent: &Tangent) -> DMatrix<f64> {
     let n = tangent.sizes.len();
     let of = |i: usize| (tangent.information[(i, i)].abs(), tangent.gradient[i].abs(), tangent.sizes[i]);

@@ -59,7 +59,8 @@ fn block_gradient(
     gradient.into_iter().collect()
 }
 
-/// dσ_ij/dvalue of one block, for every element and every value that it depends on.
+/// dσ_ij/dvalue of one block for every element and every value that the element depends on; `take` receives (slot, (i,
+/// j), derivative).
 fn each_derivative(
     structure: &CovarianceStructure,
     alpha: &Alpha,
@@ -104,7 +105,7 @@ fn each_derivative(
     }
 }
 
-/// Free values that matrices of the structures depend on.
+/// Slots of the free values that matrices of the covariance structures depend on.
 pub(crate) fn slots(model: &PhasedModel, slots: &Slots) -> Vec<usize> {
     let all: BTreeSet<usize> = model.blocks().flat_map(|(structure, _)| block_slots(structure, slots)).collect();
     all.into_iter().collect()

@@ -10,22 +10,22 @@ use crate::search_state::SearchEnd;
 use crate::tries::{TRIAL_FACTOR, best_of, longer, other_maxima};
 use kalfit_estimate::Progress;
 
-/// Values tried for a covariance of noises, in parts of its bound.
+/// Values tried for a covariance of noises, relative to the bound of the covariance.
 const TRIAL_CORRELATIONS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
-/// Distance from the present part above which such a value is tried.
+/// Distance from the present relative covariance above which a value of [`TRIAL_CORRELATIONS`] is tried.
 const MIN_DISTANCE: f64 = 0.4;
 /// Difference up to which two values of ℓ count as equal.
 const EQUAL_VALUE: f64 = 1e-3;
-/// Change of ℓ, at a quarter of its time constant, up to which a process is white.
+/// Change of ℓ with the time constant reduced to a quarter up to which a process is white.
 const WHITE_LOSS: f64 = 1e-6;
-/// Change of ℓ, at a quarter of its time constant, up to which a process may be noise of a measurement.
+/// Change of ℓ with the time constant reduced to a quarter up to which a process may be noise of a measurement.
 const NEARLY_WHITE_LOSS: f64 = 0.1;
-/// Number of shapes that are followed where two coinciding processes are separated.
+/// Maximal number of candidates that separate two coinciding processes.
 const MAX_SEPARATED: usize = 3;
 /// Sizes tried for levels at zero, in units of the size that the data suggest.
 const TRIAL_SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
-/// Candidate starts about an end, in common values except the one that is held.
+/// Candidate starts around the end of a search; only values common to all tests change, and the value `held` does not.
 pub(super) fn places(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
@@ -86,7 +86,7 @@ pub(super) fn places(
     deduplicated(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
 }
 
-/// The points in their order, each once.
+/// The points in the given order, without repetitions.
 pub(super) fn deduplicated(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
     let mut all: Vec<Vec<f64>> = Vec::new();
     for place in places {
@@ -104,7 +104,8 @@ fn with_zero(values: &[f64], s: usize) -> Vec<f64> {
     with_zero
 }
 
-/// Time constants of processes that ℓ cannot distinguish from white noise, and of nearly white ones.
+/// Indices of the time constants of processes that ℓ cannot distinguish from white noise, and of nearly white
+/// processes.
 fn white_processes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[usize]) -> [Vec<usize>; 2] {
     let loss = |&parameter: &usize| Some((parameter, loss_if_shorter(objective, end, parameter)?));
     let losses: Vec<(usize, f64)> = timed.iter().filter_map(loss).collect();
@@ -136,8 +137,8 @@ fn separated_pair(
     valued.into_iter().take(MAX_SEPARATED).map(|(_, place)| place).collect()
 }
 
-/// Candidates where a process that replaced a measurement's noise, now at zero, is given back to it: the process may
-/// return in another shape.
+/// Candidates where the variance of a process becomes noise of a measurement whose noise level is at zero: the process
+/// may have replaced that noise, and may return in another shape.
 fn returned_to_noise(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
     let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
     let values = &end.iterate.values;
@@ -146,9 +147,9 @@ fn returned_to_noise(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels:
     pairs.filter_map(|pair| transferred(objective, values, pair)).collect()
 }
 
-/// Candidate where the size of a process is held: all measurement noises at zero get the same variance, and the process
-/// the best time constant given that. The noises may explain what the process did, and a slow process may keep the
-/// size.
+/// Candidate for a search that holds the size of a process: all measurement noises at zero get the variance of the
+/// process, and the process gets the best time constant given these noises. The noises may then explain the variation,
+/// and a slow process may have the held size.
 fn held_level_as_measurement_noise(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
@@ -167,9 +168,9 @@ fn held_level_as_measurement_noise(
     is_other.then(|| best_of(objective, *parameter, &beside, progress))?.map(|(beside, _)| beside)
 }
 
-/// Candidates where nearly white processes are given to the noise of a measurement, the other processes unchanged or in
-/// their place: the variation of the other process may be explained as well, and the process at zero may return in
-/// another shape. Where noises have a covariance, the other process may take over what this one gave.
+/// Candidates where the variance of a nearly white process becomes noise of a measurement: with the other processes
+/// unchanged, with the process exchanged for an unlike one first, and, where noises have a covariance, with the unlike
+/// process then taking over as much of the noise as possible. The process at zero may return in another shape.
 fn process_to_noise(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],
@@ -198,8 +199,8 @@ fn process_to_noise(
     all
 }
 
-/// The values with the variance of level `t` handed over to level `s`, together with its share of the noise
-/// covariances.
+/// The values with the variance of level `t` added to level `s`, and to the covariances of noises where these are free;
+/// level `t` is then zero.
 fn transferred(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
     if let Some(noises) = NoiseTransfer::of(objective, s, t) {
         return Some(noises.given(values));
@@ -212,7 +213,7 @@ fn transferred(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize
     Some(given)
 }
 
-/// Absolute change of ℓ where a time constant is a quarter of its value.
+/// Absolute change of ℓ with a time constant reduced to a quarter.
 fn loss_if_shorter(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> Option<f64> {
     let slot = objective.slots.common(time_constant)?;
     let mut shorter = end.iterate.values.clone();
@@ -233,8 +234,8 @@ fn lengthened_process(
     is_level.then(|| longer(objective, time_constant, (best, value), progress))
 }
 
-/// Candidates with all time constants longer, or all shorter, each process as rough as before: the data may be
-/// explained by slower and larger processes, or by quicker and smaller ones.
+/// Candidates with all time constants four times as long, or a quarter as long, and each process as rough as before:
+/// the data may be explained by slower and larger processes, or by quicker and smaller ones.
 fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
     let open = |&parameter: &usize| objective.slots.common(parameter).is_some();
     let parameters: Vec<usize> = time_constants(objective.model).into_iter().filter(open).collect();
@@ -253,8 +254,8 @@ fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f6
     if parameters.is_empty() { Vec::new() } else { [TRIAL_FACTOR.ln(), -TRIAL_FACTOR.ln()].map(by).to_vec() }
 }
 
-/// The level of the process with this time constant, and whether it is the size of the process, so that its noise
-/// depends on the time constant, too.
+/// Slot of the noise level of the process with a given time constant, and whether the level is the size of the process:
+/// the noise variance then depends on the time constant, too.
 fn driven_level(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
     objective.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
         let (form, noise_variance) = state.motion.parts()?;
@@ -267,7 +268,7 @@ fn driven_level(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Opti
 }
 
 /// Candidate where a process with this time constant takes over the measurement noise of level `s`, with the best value
-/// of the time constant; `height`: ℓ before.
+/// of the time constant; `height`: ℓ at the end of the search.
 fn noise_to_process(
     objective: &ProfileLikelihood<'_>,
     (values, height): (&[f64], f64),
@@ -297,7 +298,7 @@ fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, u
     Some(replaced)
 }
 
-/// Candidates with other values of a noise covariance, such as of the other sign.
+/// Candidates with other values of a noise covariance, some of the other sign.
 fn other_correlations(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
     let apart = TRIAL_CORRELATIONS.into_iter().filter(move |part| (part - values[t]).abs() > MIN_DISTANCE);
     apart.map(move |part| {
@@ -307,7 +308,7 @@ fn other_correlations(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>
     })
 }
 
-/// Whether a level is that of a noise with a free covariance to another noise.
+/// Whether level `s` belongs to a noise with a free covariance to another noise.
 fn has_free_covariance(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
     !objective.edges.beside(objective.slots.slots()[s].parameter).is_empty()
 }
@@ -317,7 +318,7 @@ fn drives(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
     scales::drives(objective.model, objective.slots.slots()[s].parameter)
 }
 
-/// Candidates with other sizes of a level at zero: those at which ℓ is higher than at the neighbouring sizes.
+/// Candidates with a level at zero set to another size: the sizes at which ℓ is higher than at the neighbouring sizes.
 fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
     let value = end.iterate.values[s];
     if value > 0.0 && !end.is_at_zero(s) {

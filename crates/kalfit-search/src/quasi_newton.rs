@@ -12,14 +12,15 @@ use crate::{Coordinate, Method};
 
 /// Maximal number of steps before the second derivatives are computed again.
 const MAX_STEPS: usize = 12;
-/// Part of the predicted rise by which ℓ must rise for these steps to continue.
+/// Part of the predicted rise by which ℓ must rise for quasi-Newton steps to continue.
 const MIN_GAIN: f64 = 0.2;
-/// Ratio of curvature to slope of a level's logarithm, downward, below which these steps end: the level is on its way
-/// to zero, better in its variance.
+/// Ratio of curvature to downward slope of ℓ in the logarithm of a level below which quasi-Newton steps end: the level
+/// is on the way to zero and moves better in the variance.
 const VANISHING_RATIO: f64 = 2.5;
 
 impl<'b> SearchState<'b, '_> {
-    /// Continues from the end of a step; `before`: the point where it began, `joint`: the information there.
+    /// Continues from the end of a step and updates the information; `before`: the point where the step began, `joint`:
+    /// the information at `before`.
     pub(super) fn updated_hessian_steps(&mut self, joint: &JointInformation, before: &ProfilePoint) {
         if let Some(curvature) = ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, before))
         {
@@ -27,7 +28,7 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// Continues by information from an earlier point that serves here, too, without updating it.
+    /// Continues with the information `joint` from an earlier point, without updates.
     pub(super) fn fixed_hessian_steps(&mut self, joint: &JointInformation) {
         if let Some(curvature) =
             ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, &self.iterate))
@@ -36,8 +37,8 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// Steps by the curvature at a maximum of a part of the data: in its scale of levels, or where that fails in the
-    /// other one.
+    /// Makes steps by the curvature at a maximum of a part of the data, in the scale of levels of that curvature or,
+    /// where no step succeeds, in the other scale.
     pub(super) fn start_from_curvature(&mut self, curvature: Option<ProfileInformation>) {
         let Some(curvature) = curvature else { return };
         let start = self.iterate.value();
@@ -55,8 +56,8 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// Steps by a given curvature; `last`: the point of that curvature, if not the present one; `learns`: steps update
-    /// it.
+    /// Makes steps by a given curvature; `last`: the point of that curvature, if not the present point; `learns`: steps
+    /// update the curvature.
     pub(super) fn quasi_newton_steps(
         &mut self,
         curvature: ProfileInformation,
@@ -92,8 +93,8 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// The scale of levels that predicted the gradient after a step better; the present one where this cannot be
-    /// decided.
+    /// The scale of levels that predicted the gradient after a step better; the present scale where the predictions do
+    /// not decide.
     pub(super) fn better_level_scale(&self, joint: &JointInformation, next: &ProfilePoint) -> LevelScale {
         if self.objective.settings.method != Method::Hybrid {
             return self.level_scale; // the gradient is not at the best (μ, Σ)

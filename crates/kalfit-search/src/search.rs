@@ -13,7 +13,7 @@ use crate::{DynamicError, Method, Standing};
 use kalfit_estimate::{Progress, Stop};
 use kalfit_model::Population;
 
-/// Largest relative growth of a variance v in one step: to (1 + this) v.
+/// Largest relative growth g of a variance v in one step, to (1 + g) v.
 const MAX_VARIANCE_GROWTH: f64 = 20.0;
 /// Damping from which on no shorter step is tried.
 const MAX_DAMPING: f64 = 1e6;
@@ -27,7 +27,7 @@ pub(super) const SMALL_DECREMENT: f64 = 1e-3;
 const MERGE_DECREMENT: f64 = 1.0;
 /// Lengths, in coordinates, of trial steps along directions in which ℓ hardly curves.
 const PROBE_LENGTHS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
-/// Maximal number of times that a search tries such steps.
+/// Maximal number of points from which a search tries steps of [`PROBE_LENGTHS`].
 const MAX_FLAT_PROBES: usize = 3;
 /// Distance from the top of a ridge, in standard errors, that is near enough where rounding prevents coming nearer.
 const RIDGE_TOLERANCE: f64 = 1e-3;
@@ -84,8 +84,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         Ok(self.ended(last, stop))
     }
 
-    /// The end of the search with the joint information and the certificate there. It counts as certified only if (μ,
-    /// Σ) are certified, too.
+    /// The end of the search with the joint information and the certificate there; certified only if (μ, Σ) are
+    /// certified, too.
     pub(super) fn ended(mut self, (joint, certificate): (JointInformation, f64), mut stop: Stop) -> SearchEnd {
         self.mark_idle(&joint);
         if stop == Stop::Certified && self.is_on_a_slope(&joint) {
@@ -164,8 +164,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         NextStep::End(if enough { Stop::Certified } else { Stop::Stalled })
     }
 
-    /// Merges two coinciding processes into one and sets the other to zero: ℓ does not depend on how they share their
-    /// variance.
+    /// Merges two coinciding processes into one and sets the other to zero: ℓ depends on the sum of the two variances
+    /// alone.
     pub(super) fn merge_pair(&mut self) -> bool {
         let objective = self.objective;
         let free =
@@ -193,8 +193,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         false
     }
 
-    /// Leaves a point where values are zero that ℓ depends on only through their product: along any single one of them,
-    /// ℓ has neither slope nor curvature there.
+    /// Leaves a point where several factors of a product are zero and ℓ depends on the product alone: along a single
+    /// factor, ℓ has neither slope nor curvature there.
     fn leave_product_zero(&mut self, joint: &JointInformation) -> bool {
         let is_factor = |&s: &usize| {
             let is_bare = self.iterate.values[s] == 0.0 && self.iterate.gradient[s] == 0.0 && joint.curvature(s) == 0.0;
@@ -217,8 +217,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         false
     }
 
-    /// Solves for (μ, Σ) alone where they moved along with α. This certifies them, and leaves the boundary of the cone
-    /// where that is no maximum; returns whether they are certified by this.
+    /// Solves for (μ, Σ) at fixed α where steps moved (μ, Σ) together with α; this also leaves a boundary of the cone
+    /// that is no maximum. Returns whether (μ, Σ) became certified.
     fn certify_population(&mut self) -> bool {
         if self.objective.settings.method != Method::Innovations || self.iterate.estimate.stop == Stop::Certified {
             return false;
@@ -229,7 +229,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         certified
     }
 
-    /// Moves towards the top of a ridge, where differences do not resolve the curvature along it.
+    /// Moves towards the top of a ridge, where differences do not resolve the curvature along the ridge.
     fn move_along_ridges(&mut self, joint: &JointInformation) -> bool {
         self.ridges.below = 0.0;
         let is_ridge = |direction: &InformationDirection| direction.is_of_alpha() && direction.may_be_rounding();
@@ -348,8 +348,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         true
     }
 
-    /// The step, damped so much that no shared value goes too far; values of single tests are clamped one by one.
-    /// `levels` move in their variances, to zero at most.
+    /// The step, damped until no shared value goes too far; values of single tests are clamped one by one. `levels`
+    /// move in variances, down to zero at most.
     fn damped_step(&mut self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let reach = |s: usize| match levels.iter().find(|(level, _)| *level == s) {
             Some((_, exponent)) => Some((-exponent.recip(), MAX_VARIANCE_GROWTH / exponent)),
@@ -370,7 +370,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         }
     }
 
-    /// The step with levels stopped at zero that would go below, and the other values solved for given that.
+    /// The step with levels that would become negative stopped at zero, and the other values solved for given these
+    /// stops.
     fn bounded_step(&self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let mut pinned: Vec<(usize, f64)> = Vec::new();
         loop {
@@ -388,7 +389,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         }
     }
 
-    /// The values after a step; `levels` move in their variances.
+    /// The values after a step; `levels` move in variances.
     fn moved(&self, step: &[f64], levels: &[(usize, f64)]) -> Vec<f64> {
         let one = |(s, d): (usize, &f64)| {
             let (coordinate, value) = (&self.objective.coordinates[s], self.iterate.values[s]);

@@ -1,7 +1,7 @@
-//! Start values of α: the model file's where it gives them, else worked out from the data.
+//! Start values of α: from the model file where given, else computed from the data.
 //!
-//! Scales come from the spread of what was measured and from the lengths of steps and records; then each value without a start
-//! is tried over many powers of ten, cheaply: on a part of the data, with μ and Σ solved for each.
+//! Scales come from differences of measured values and from the lengths of steps and records; then each value without a
+//! start is tried over several powers of ten, on a part of the data, with μ and Σ solved for at each trial.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -19,13 +19,13 @@ use kalfit_model::Value;
 
 /// Number of points scattered about the first guess.
 const SCATTERED: usize = 40;
-/// Spread of these points: standard deviation of a logarithm.
+/// Standard deviation of a logarithm over the scattered points.
 const SCATTER_SPREAD: f64 = 2.5;
-/// Spread of random starts: standard deviation of a logarithm.
+/// Standard deviation of a logarithm over the random starts.
 const SPREAD: f64 = 1.5;
 
-/// Start values, the likeliest first: the one worked out from the data, others where the likelihood seems to have other
-/// maxima in a time constant, and as many random ones as the settings request.
+/// Start values: the first guess from the data, points where ℓ seems to have other maxima in noise levels or a time
+/// constant, and as many random points as the settings request.
 pub(crate) fn starts(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
@@ -52,7 +52,7 @@ pub(crate) fn starts(
     if total(&sample) == total(objective.tests) {
         return Ok(all.into_iter().map(SearchStart::from).collect());
     }
-    // given values remain one of the starts, whatever becomes of the others on a part of the data
+    // given values remain a start, wherever searches on a part of the data end
     let free = (0..objective.model.shared().parameters.len()).filter(|&p| objective.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
     let mut starts = promising((objective, &small), given, all, progress);
@@ -64,7 +64,7 @@ pub(crate) fn starts(
     Ok(starts)
 }
 
-/// The first start on a part of the tests, and others where the likelihood seems to have other maxima.
+/// The first start, from a part of the tests, and points where ℓ of that part seems to have other maxima.
 fn likeliest(
     (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     unknown: &[usize],
@@ -88,7 +88,8 @@ pub(crate) fn first(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progre
     likeliest((objective, &small), &unknown(objective), progress).0
 }
 
-/// Starts from the data alone, whatever values were given; `held`: a slot whose value stays as it is.
+/// Starts computed from the data alone, without the given start values; `held`: a slot and the value of that slot in
+/// every start.
 pub(crate) fn from_data(
     objective: &ProfileLikelihood<'_>,
     held: Option<(usize, f64)>,
@@ -118,7 +119,7 @@ pub(crate) fn all_given(objective: &ProfileLikelihood<'_>) -> bool {
     unknown(objective).is_empty()
 }
 
-/// Parameters without a start value, by index.
+/// Indices of the free parameters without a start value.
 fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
     let is_given = |value: Value, log: bool| match value {
         Value::Free { start: Some(start) } => !(log && start == 0.0), // a logarithm cannot start at zero
@@ -132,7 +133,7 @@ fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
         .collect()
 }
 
-/// A first value for each slot; `use_given`: start values that were given are used.
+/// First guess of each sought value; `use_given`: given start values are used.
 fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
     let scales = objective.scales();
     let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
@@ -140,7 +141,7 @@ fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
         let parameter = &objective.model.shared().parameters[slot.parameter];
         let coordinate = objective.coordinates[s];
         if objective.edges.has(s) {
-            // the value itself, not yet divided by its edge
+            // the covariance itself, not yet divided by the edge
             return if let Value::Free { start: Some(start) } = parameter.value { start } else { 0.0 };
         }
         let guess = match parameter.value {
@@ -154,8 +155,8 @@ fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
     objective.sought(&values)
 }
 
-/// The best of some points scattered widely about the first guess: the noise may be in the measurements or in the
-/// motion, and a search that begins with one of these may end there.
+/// The two best of [`SCATTERED`] points around the first guess: the variation may be noise of the measurements or of
+/// the motion, and a search may end with the attribution that the start has.
 fn scattered(
     small: &ProfileLikelihood<'_>,
     unknown: &[usize],
@@ -165,7 +166,7 @@ fn scattered(
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut places = Vec::new();
     for _ in 0..SCATTERED {
-        // all levels of a parameter together
+        // one draw for all levels of a parameter
         let draws: Vec<f64> =
             small.model.shared().parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
         let moved = |(s, value): (usize, &f64)| {
@@ -180,8 +181,8 @@ fn scattered(
     found.into_iter().take(2).map(|(values, _)| values).collect()
 }
 
-/// Random start `k`: logarithms moved by normal numbers, other values by their own size. Each start has a separate
-/// stream.
+/// Random start `k`: logarithms are moved by normal numbers of standard deviation [`SPREAD`], other values by normal
+/// numbers times the size of the value. Each start has a separate random stream.
 fn random(objective: &ProfileLikelihood<'_>, first: &[f64], k: usize) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(objective.settings.seed);
     random.set_stream(k as u64);

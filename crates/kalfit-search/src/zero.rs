@@ -1,4 +1,5 @@
-//! Values on their way to zero and to infinity. A noise level moves in its variance, where zero is a bound like any other.
+//! Values on the way to zero and to infinity. A noise level near zero moves in the variance, in which zero is a bound
+//! like any other.
 
 use crate::Standing;
 use crate::joint;
@@ -6,34 +7,35 @@ use crate::joint::JointInformation;
 use crate::profile_likelihood::ProfilePoint;
 use crate::search_state::{FAR_STEP, SearchState};
 
-/// Ratio of curvature to slope of a logarithm up to which no optimum is in sight: ℓ levels off towards a bound, as 1/x,
-/// x² or the like.
+/// Ratio of curvature to slope of ℓ in a logarithm up to which no optimum is in sight: ℓ levels off towards a bound,
+/// like 1/x or x².
 const FLAT_RATIO: f64 = 3.5;
-/// Slope of such a logarithm below which its bound is tried: little of ℓ can then be gained on the way.
+/// Slope of ℓ in such a logarithm below which the bound is tried: ℓ then rises little on the way.
 const MAX_TAIL_SLOPE: f64 = 0.1;
-/// Slope of a level below which it may move in its variance, where ℓ is straighter in that.
+/// Slope of ℓ in the logarithm of a level below which the level may move in the variance, where ℓ is straighter in the
+/// variance.
 const MAX_LEVEL_SLOPE: f64 = 5.0;
-/// Negative curvature in a variance, relative to its slope, that is treated as zero.
+/// Negative curvature of ℓ in a variance, relative to the slope, that is treated as zero.
 const MAX_NEGATIVE_CURVATURE: f64 = 0.1;
-/// Remaining rise of ℓ up to which a value on its way to infinity or to zero is left where it is.
+/// Remaining rise of ℓ up to which a value on the way to infinity or to zero is stopped.
 const NEGLIGIBLE_GAIN: f64 = 1e-7;
-/// Part of its former size that stands for a level at zero where ℓ is not defined there: its square does not affect ℓ,
-/// and scores keep their digits.
+/// Value in place of zero for a level, relative to the former size, where ℓ is not defined at zero: the variance does
+/// not affect ℓ, and scores lose no digits.
 const NEARLY_ZERO: f64 = 1e-4;
-/// Where ℓ would rise by more than [`NEGLIGIBLE_GAIN`] towards zero, a level is lowered until this part of [`NEGLIGIBLE_GAIN`] is left.
+/// Remaining rise of ℓ towards zero, relative to [`NEGLIGIBLE_GAIN`], down to which a level is lowered.
 const REMAINING_GAIN: f64 = 0.1;
-/// Part of its former size below which a level may be without effect on ℓ.
+/// Value of a level, relative to the former size, below which the level may have no effect on ℓ.
 const SMALL_LEVEL: f64 = 1e-2;
-/// Slope and curvature below which such a level has no effect on ℓ.
+/// Slope and curvature of ℓ in the logarithm of such a level below which the level has no effect.
 const NO_EFFECT: f64 = 1e-6;
 
 impl SearchState<'_, '_> {
-    /// Levels at zero, or as near to it as ℓ is defined.
+    /// Indices of the levels at zero, or at the least value at which ℓ is defined.
     pub(super) fn zeros(&self) -> Vec<usize> {
         (0..self.iterate.values.len()).filter(|&s| self.is_at_zero(s)).collect()
     }
 
-    /// Whether a noise level is at its least value.
+    /// Whether a value is a noise level at the lower limit.
     pub(super) fn is_at_zero(&self, s: usize) -> bool {
         self.objective.coordinates[s].level.is_some() && self.iterate.values[s] <= self.lower_limit[s]
     }
@@ -43,8 +45,8 @@ impl SearchState<'_, '_> {
         self.is_at_zero(s) && self.lower_limit[s] > self.objective.coordinates[s].lower
     }
 
-    /// Levels for which ℓ is straighter in the variance than in the logarithm, with their exponents: those that would
-    /// reach zero, and those far below their optimum.
+    /// Levels, as (slot, exponent), for which ℓ is straighter in the variance than in the logarithm: levels that would
+    /// reach zero, and levels far below the optimum.
     pub(super) fn levels_near_zero(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let near = |&s: &usize| -> Option<(usize, f64)> {
             let exponent = self.objective.coordinates[s].level?;
@@ -57,7 +59,7 @@ impl SearchState<'_, '_> {
         joint.active.iter().filter_map(near).collect()
     }
 
-    /// All levels that move, with their exponents, except where ℓ is far from concave in the variance.
+    /// All levels that move, as (slot, exponent), except where ℓ is far from concave in the variance.
     pub(super) fn all_levels(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let level = |&s: &usize| {
             let exponent = self.objective.coordinates[s].level?;
@@ -67,8 +69,8 @@ impl SearchState<'_, '_> {
         joint.active.iter().filter_map(level).collect()
     }
 
-    /// The point with levels a little above zero, where ℓ is not defined with them at zero; they go no lower from now
-    /// on.
+    /// The point with levels a little above zero in place of zero, where ℓ is not defined; that value is the lower
+    /// limit of each such level from then on.
     pub(super) fn try_above_zero(&mut self, values: &[f64]) -> Option<ProfilePoint> {
         let mut raised = values.to_vec();
         let fell = |&s: &usize| {
@@ -85,8 +87,8 @@ impl SearchState<'_, '_> {
         Some(next)
     }
 
-    /// Lowers levels that are as near to zero as ℓ was defined, where that is worth it: ℓ is linear in their variances
-    /// there.
+    /// Lowers levels at a lower limit above zero where ℓ rises by more than [`NEGLIGIBLE_GAIN`] towards zero; ℓ is
+    /// linear in the variances there.
     pub(super) fn lower_vanishing_levels(&mut self) -> bool {
         let mut values = self.iterate.values.clone();
         let mut nearer = Vec::new();
@@ -113,8 +115,8 @@ impl SearchState<'_, '_> {
         self.iterate.values[s].max(self.before_zero[s])
     }
 
-    /// Tries logarithms along which ℓ levels off downwards at their lower bound, such as zero: all at once, then a few
-    /// of them one by one.
+    /// Tries the lower limit, such as zero, of logarithms along which ℓ levels off downward: all logarithms at once,
+    /// then up to eight one by one.
     pub(super) fn try_lower_bounds(&mut self, joint: &JointInformation) -> bool {
         let sinking = |&s: &usize| {
             let (slope, bend) = (self.iterate.gradient[s], joint.curvature(s));
@@ -136,7 +138,7 @@ impl SearchState<'_, '_> {
         leapt
     }
 
-    /// Moves some values to their least values, unless ℓ falls.
+    /// Moves some values to the lower limits, unless ℓ falls.
     fn try_at_bound(&mut self, set: &[usize]) -> bool {
         let slack = 1e-11 * self.iterate.value().abs().max(1.0);
         let mut values = self.iterate.values.clone();
@@ -147,7 +149,7 @@ impl SearchState<'_, '_> {
         true
     }
 
-    /// Sets levels to zero that are too small to affect ℓ.
+    /// Sets to zero the levels that are too small to affect ℓ.
     pub(super) fn zero_unidentified_levels(&mut self, joint: &JointInformation) -> bool {
         let faint = |s: &usize| {
             let level = self.objective.coordinates[*s].level.is_some() && self.standing[*s] == Standing::Inside;
@@ -168,8 +170,8 @@ impl SearchState<'_, '_> {
         !faint.is_empty()
     }
 
-    /// Leaves logarithms where they are that would still move far for a negligible gain: as far as the data can tell,
-    /// they are at zero or at infinity.
+    /// Stops logarithms that would move far for a negligible rise of ℓ: the data do not distinguish such values from
+    /// zero or infinity.
     pub(super) fn marked_unbounded(&mut self, joint: &JointInformation, step: &joint::JointStep) -> bool {
         if 0.5 * step.decrement.powi(2) > NEGLIGIBLE_GAIN {
             return false;

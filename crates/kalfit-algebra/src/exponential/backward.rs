@@ -1,7 +1,7 @@
 //! Adjoints of motions and of their stationary distributions: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The Taylor sums and
 //! the doublings are passed through backwards.
 
-use kalfit_lanes::{Lanes, MOST};
+use kalfit_lanes::{Lanes, MAX_LANES};
 
 use super::{Doubling, FlowError, accumulate, product, product_into, scale, scaling, stationary, stationary_discrete};
 
@@ -51,7 +51,7 @@ pub fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T 
         return near;
     }
     let far = (step * power - integral) / rate;
-    let mut all = [0.0; MOST];
+    let mut all = [0.0; MAX_LANES];
     for lane in 0..T::COUNT {
         all[lane] = if x.lane(lane).abs() < 1.0 { near.lane(lane) } else { far.lane(lane) };
     }
@@ -99,13 +99,13 @@ fn general(
         orders.extend_from_slice(power);
         orders.extend_from_slice(noise);
     });
-    let mut before: Vec<FlowParts> = Vec::with_capacity(doublings.max(0) as usize);
+    let mut flows_before: Vec<FlowParts> = Vec::with_capacity(doublings.max(0) as usize);
     for _ in 0..doublings {
-        before.push((doubling.phi.clone(), doubling.gamma.clone(), doubling.q.clone()));
+        flows_before.push((doubling.phi.clone(), doubling.gamma.clone(), doubling.q.clone()));
         doubling.double();
     }
     let (mut phi, mut gamma, mut noise) = (phi.to_vec(), gamma.to_vec(), symmetric(noise, m));
-    for (phi_before, gamma_before, q_before) in before.iter().rev() {
+    for (phi_before, gamma_before, q_before) in flows_before.iter().rev() {
         doubling_adjoint([phi_before, gamma_before, q_before], [&mut phi, &mut gamma, &mut noise], m);
     }
     Ok(taylor_adjoint(f, m, small, &orders, [&phi, &gamma, &noise]))
@@ -114,16 +114,16 @@ fn general(
 /// Adjoint of a doubling Q₂ = Q + φQφ', Γ₂ = Γ + φΓ, φ₂ = φφ:
 /// φ̄ = φ'φ̄₂ + φ̄₂φ' + Γ̄₂Γ' + 2Q̄₂φQ, Γ̄ = Γ̄₂ + φ'Γ̄₂, Q̄ = Q̄₂ + φ'Q̄₂φ.
 fn doubling_adjoint([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec<f64>; 3], m: usize) {
-    let back = transpose(phi, m);
-    let mut next = product(&back, phi_bar, m);
-    accumulate(&mut next, &product(phi_bar, &back, m), 1.0);
+    let transposed = transpose(phi, m);
+    let mut next = product(&transposed, phi_bar, m);
+    accumulate(&mut next, &product(phi_bar, &transposed, m), 1.0);
     accumulate(&mut next, &product(gamma_bar, &transpose(gamma, m), m), 1.0);
     let half = product(q_bar, phi, m);
     accumulate(&mut next, &product(&half, q, m), 2.0);
     *phi_bar = next;
-    let moved = product(&back, gamma_bar, m);
+    let moved = product(&transposed, gamma_bar, m);
     accumulate(gamma_bar, &moved, 1.0);
-    accumulate(q_bar, &product(&back, &half, m), 1.0);
+    accumulate(q_bar, &product(&transposed, &half, m), 1.0);
 }
 
 /// Adjoint of the Taylor sums of a small step h. `orders` holds (Fh)^k / k! and the noise term of each order k = 0, 1,
@@ -135,8 +135,8 @@ fn taylor_adjoint(
     orders: &[f64],
     [phi, gamma, noise]: [&[f64]; 3],
 ) -> (Vec<f64>, Vec<f64>) {
-    let mut back = transpose(f, m);
-    scale(&mut back, h);
+    let mut transposed = transpose(f, m);
+    scale(&mut transposed, h);
     let mut f_bar = vec![0.0; m * m]; // adjoint of Fh
     let (mut power_bar, mut noise_bar, mut moved) = (vec![0.0; m * m], vec![0.0; m * m], vec![0.0; m * m]);
     for (k, terms) in orders.chunks_exact(2 * m * m).enumerate().rev() {
@@ -149,13 +149,13 @@ fn taylor_adjoint(
         noise_bar.iter_mut().zip(noise).for_each(|(bar, noise)| *bar = (*bar + noise) / (order + 1.0));
         for i in 0..m {
             for j in 0..m {
-                let powers = inner(&power_bar[i * m..][..m], &power[j * m..][..m]);
-                f_bar[i * m + j] += powers + 2.0 * inner(&noise_bar[i * m..][..m], &term[j * m..][..m]);
+                let powers = dot(&power_bar[i * m..][..m], &power[j * m..][..m]);
+                f_bar[i * m + j] += powers + 2.0 * dot(&noise_bar[i * m..][..m], &term[j * m..][..m]);
             }
         }
-        product_into(&back, &power_bar, m, &mut moved);
+        product_into(&transposed, &power_bar, m, &mut moved);
         std::mem::swap(&mut power_bar, &mut moved);
-        product_into(&back, &noise_bar, m, &mut moved);
+        product_into(&transposed, &noise_bar, m, &mut moved);
         for i in 0..m {
             for j in 0..m {
                 noise_bar[i * m + j] = moved[i * m + j] + moved[j * m + i];
@@ -168,7 +168,7 @@ fn taylor_adjoint(
     (f_bar, noise_bar)
 }
 
-fn inner(a: &[f64], b: &[f64]) -> f64 {
+fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
@@ -181,8 +181,8 @@ pub fn stationary_adjoint(
     m: usize,
     discrete: bool,
 ) -> Result<(Vec<f64>, Vec<f64>), FlowError> {
-    let (back, p_bar) = (transpose(f, m), symmetric(p_bar, m));
-    let x = if discrete { stationary_discrete(&back, &p_bar, m)? } else { stationary(&back, &p_bar, m)? };
+    let (transposed, p_bar) = (transpose(f, m), symmetric(p_bar, m));
+    let x = if discrete { stationary_discrete(&transposed, &p_bar, m)? } else { stationary(&transposed, &p_bar, m)? };
     let moved = if discrete { product(f, p, m) } else { p.to_vec() };
     let mut f_bar = product(&x, &moved, m);
     scale(&mut f_bar, 2.0);

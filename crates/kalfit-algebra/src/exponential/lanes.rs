@@ -1,6 +1,6 @@
 //! Flows of single states in lanes, by an exponential of the numbers of all lanes at once.
 
-use kalfit_lanes::{Lanes, MOST};
+use kalfit_lanes::{Lanes, MAX_LANES};
 
 use super::scalar_flow;
 
@@ -28,16 +28,16 @@ const INVERSE_FACTORIALS: [f64; EXPONENTIAL_TERMS] = {
 /// exp(x) and expm1(x), |x| ≤ [`MAX_EXPONENT`], to a few units in the last place.
 #[inline(always)]
 fn exponentials<T: Lanes>(x: T) -> [T; 2] {
-    let whole = T::splat(ROUNDING_SHIFT);
-    let shifted = x.fma(T::splat(std::f64::consts::LOG2_E), whole);
-    let k = shifted - whole;
+    let rounding_shift = T::splat(ROUNDING_SHIFT);
+    let shifted = x.fma(T::splat(std::f64::consts::LOG2_E), rounding_shift);
+    let k = shifted - rounding_shift;
     let r = k.fnma(T::splat(LN_2[1]), k.fnma(T::splat(LN_2[0]), x));
     let mut sum = T::splat(0.0);
     for term in INVERSE_FACTORIALS.iter().rev() {
         sum = sum.fma(r, T::splat(*term));
     }
     let part = (r * r).fma(sum, r);
-    let mut powers = [0.0; MOST];
+    let mut powers = [0.0; MAX_LANES];
     shifted.store(&mut powers);
     for power in &mut powers[..T::COUNT] {
         // k in the last bits becomes an exponent
@@ -52,8 +52,8 @@ fn exponentials<T: Lanes>(x: T) -> [T; 2] {
 pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     let two = T::splat(2.0);
     let x = f * step;
-    let ([phi, once], [_, twice]) = (exponentials(x), exponentials(two * x));
-    let found = [phi, once / f, q * (twice / (two * f))];
+    let ([phi, expm1_x], [_, expm1_2x]) = (exponentials(x), exponentials(two * x));
+    let found = [phi, expm1_x / f, q * (expm1_2x / (two * f))];
     if T::splat(f64::MIN_POSITIVE).at_most(f.magnitude()) && x.magnitude().at_most(T::splat(0.5 * MAX_EXPONENT)) {
         return found;
     }
@@ -63,15 +63,15 @@ pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
 /// Replaces the flows of rates that are too small or too large for [`exponentials`] by [`scalar_flow`] of each lane.
 #[inline(always)]
 fn with_scalar_lanes<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
-    let mut all = [[0.0; MOST]; 3];
+    let mut all = [[0.0; MAX_LANES]; 3];
     all.iter_mut().zip(found).for_each(|(all, found)| found.store(all));
     for lane in 0..T::COUNT {
         let (f, step) = (f.lane(lane), step.lane(lane));
         if f.abs() >= f64::MIN_POSITIVE && (f * step).abs() <= 0.5 * MAX_EXPONENT {
             continue;
         }
-        let own = scalar_flow(f, q.lane(lane), step);
-        all.iter_mut().zip(own).for_each(|(all, x)| all[lane] = x);
+        let lane_flows = scalar_flow(f, q.lane(lane), step);
+        all.iter_mut().zip(lane_flows).for_each(|(all, x)| all[lane] = x);
     }
     [T::load(&all[0]), T::load(&all[1]), T::load(&all[2])]
 }
@@ -90,8 +90,8 @@ mod tests {
         fn run<T: Lanes>(self) -> Vec<[f64; 3]> {
             let mut found = Vec::new();
             for (f, step) in self.0.chunks_exact(T::COUNT).zip(self.1.chunks_exact(T::COUNT)) {
-                let own = scalar_flows(T::load(f), T::splat(1.7), T::load(step));
-                (0..T::COUNT).for_each(|lane| found.push([own[0].lane(lane), own[1].lane(lane), own[2].lane(lane)]));
+                let lane_flows = scalar_flows(T::load(f), T::splat(1.7), T::load(step));
+                (0..T::COUNT).for_each(|lane| found.push([lane_flows[0].lane(lane), lane_flows[1].lane(lane), lane_flows[2].lane(lane)]));
             }
             found
         }

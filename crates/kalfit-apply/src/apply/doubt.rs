@@ -116,7 +116,8 @@ impl<'a> EstimateErrors<'a> {
     pub(super) fn means(&self, weights: &DMatrix<f64>, all: f64) -> usize {
         let own = |at: usize| weights[(at, at)] * self.covariance_of_means[(at, at)];
         let is_noticeable = |&at: &usize| self.is_fixed[at] && own(at) > NOTICEABLE_SHARE * all;
-        let has_varying_mean = self.of_means.iter().zip(&self.is_fixed).any(|(own, is_fixed)| own.2.is_none() && !is_fixed);
+        let has_varying_mean =
+            self.of_means.iter().zip(&self.is_fixed).any(|(own, is_fixed)| own.2.is_none() && !is_fixed);
         usize::from(has_varying_mean) + self.columns + (0..self.of_means.len()).filter(is_noticeable).count()
     }
 
@@ -152,8 +153,11 @@ impl<'a> EstimateErrors<'a> {
     /// Whether the expectation depends on a quantity that the data of the fit do not determine.
     pub(super) fn depends_on_open(&self, weights: &Weights, moved: &[(&ParameterEffect, f64)], degrees: f64) -> bool {
         let largest = weights.of_level.iter().map(DMatrix::amax).fold(0.0, f64::max);
-        let by_sigma =
-            self.knowledge.open.iter().any(|known| self.covariance_slope(weights, known).abs() > NEGLIGIBLE_SLOPE * largest);
+        let by_sigma = self
+            .knowledge
+            .open
+            .iter()
+            .any(|known| self.covariance_slope(weights, known).abs() > NEGLIGIBLE_SLOPE * largest);
         by_sigma || self.depends_on_open_parameter(moved, degrees)
     }
 

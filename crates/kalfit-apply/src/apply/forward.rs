@@ -38,7 +38,10 @@ fn states_of_test(
     filter.through(test, work, &mut |(at, rows), gains, work, law| {
         let known = filtered(kind, gains, (work, &mut backward), law);
         let evaluated_phase = EvaluatedPhase::new(&filter.reducer().phases()[at], rows);
-        states.push(evaluated_phase.map(|evaluated_phase| evaluated_phase.states(at, known.into_iter(), kind == StateKind::Predicted)));
+        states.push(
+            evaluated_phase
+                .map(|evaluated_phase| evaluated_phase.states(at, known.into_iter(), kind == StateKind::Predicted)),
+        );
     })?;
     states.into_iter().collect()
 }
@@ -55,7 +58,8 @@ fn filtered(
     let q = work.design.frame.p;
     // moments at σ = 0, with one column of sensitivities for each element of σ
     let moments_at_zero = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-    let backward_input = BackwardInput::of((work, gains), (&moments_at_zero, None), AdjointsWanted { motion: true, equation: false });
+    let backward_input =
+        BackwardInput::of((work, gains), (&moments_at_zero, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
     backward_input.filtered_states(backward, &work.pass.e, |step, measured, seen| {
         if measured {

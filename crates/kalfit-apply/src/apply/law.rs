@@ -174,7 +174,7 @@ fn trace_law(p: f64, h: f64, degrees: f64) -> Option<Law> {
 }
 
 impl Law {
-    /// Law of the sum of `number` independent copies, from its mean and variance.
+    /// Law of the sum of `number` independent copies, from the mean and variance of the sum.
     fn sum_of_copies(self, number: f64) -> Law {
         let (a, b) = (self.numerator, self.denominator);
         if number == 1.0 || b <= 4.0 {

@@ -96,7 +96,8 @@ impl Applied<'_> {
             let trees = [&low, &high].map(|own| self.tree(own, doubt));
             let trees = [&trees[0], &trees[1]];
             let per_width = |x: f64| if (x / width).is_finite() { x / width } else { 0.0 };
-            let level = |level: usize| tree.log_det_differences(level, trees).into_iter().map(per_width).collect::<Vec<f64>>();
+            let level =
+                |level: usize| tree.log_det_differences(level, trees).into_iter().map(per_width).collect::<Vec<f64>>();
             let residual = |at: usize| {
                 let log_det = |own: &Reductions| -2.0 * own.get(at).constant - own.get(at).residual.unwrap_or(f64::NAN);
                 let [j, k] = trees.map(|tree| &tree.nodes[0][at].information);
@@ -104,7 +105,13 @@ impl Applied<'_> {
             };
             let (residuals, groups) = ((0..self.tests.len()).map(residual).collect(), 1..=tree.depth());
             let (tests, groups) = (level(0), groups.map(level).collect());
-            Ok(Some(ParameterEffect { index, all: per_width(tree.joint_log_det_difference(trees)), tests, groups, residuals }))
+            Ok(Some(ParameterEffect {
+                index,
+                all: per_width(tree.joint_log_det_difference(trees)),
+                tests,
+                groups,
+                residuals,
+            }))
         };
         let all: Result<Vec<Option<ParameterEffect>>, ApplyError> = doubt.parameters().map(of).collect();
         Ok(all?.into_iter().flatten().collect())
@@ -159,7 +166,7 @@ impl LawBuilder<'_> {
         }
     }
 
-    /// Laws of the distances of tests, and the weights in their sum.
+    /// Laws of the distances of tests, and the weights in the sum of the distances.
     fn tests(&self) -> (Vec<Option<Law>>, Weights) {
         let outer_sigma = self.tree.outer_sigma(0);
         let indices: Vec<usize> = (0..self.said.posteriors.len()).collect();

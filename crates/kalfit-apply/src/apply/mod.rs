@@ -76,8 +76,8 @@ pub struct Said {
 const RESIDUAL_ROUNDING: f64 = 1e-3;
 
 impl<'a> Applied<'a> {
-    /// Runs the filters over the tests. `population` has the shape of the model; for a model with levels it holds all
-    /// levels.
+    /// Runs the filters over the tests. `population` has the shape of the model; for a model with levels, `population`
+    /// contains all levels.
     ///
     /// # Errors
     /// No tests; a population of another shape; a test that the model does not allow.

@@ -24,7 +24,11 @@ impl Applied<'_> {
         Ok(states.into_iter().collect::<Result<_, _>>()?)
     }
 
-    fn states_of_test(&self, test: &PhasedTest, phases: Vec<Option<Vec<Smoothed>>>) -> Result<Vec<PhaseStates>, ReduceError> {
+    fn states_of_test(
+        &self,
+        test: &PhasedTest,
+        phases: Vec<Option<Vec<Smoothed>>>,
+    ) -> Result<Vec<PhaseStates>, ReduceError> {
         let mut states = Vec::with_capacity(phases.len());
         for (at, (evidence, found)) in test.phases.iter().zip(phases).enumerate() {
             let (Evidence::Rows(rows), Some(found)) = (evidence, found) else { continue };

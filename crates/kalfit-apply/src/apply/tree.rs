@@ -2,11 +2,11 @@
 //! to Σ of each level, and the increase of the expectation by errors of the means.
 //!
 //! ```text
-//! node: likelihood N(y; Jm, J) of the mean m of its members; J of a test is its reduction's,
-//!     J of a group is the sum of W = (I + JΣ)⁻¹J over its members
-//! its distance: D = y'My about the population, M = (J + JΣ₊J)⁺, Σ₊ of its own level and all beyond:
-//!     weight JMJ of each of these Σ
-//! its member c: s_c = B_c y_c, B_c = I - W_cΣ_c: weight W_cMW_c of Σ_c at the member's level,
+//! node: likelihood N(y; Jm, J) of the mean m of the node's members; J of a test is J of the reduction,
+//!     J of a group is the sum of W = (I + JΣ)⁻¹J over the members
+//! distance of a node: D = y'My about the population, M = (J + JΣ₊J)⁺, Σ₊ the sum of Σ over the node's level
+//!     and all outer levels: weight JMJ of each Σ in the sum
+//! member c of a node: s_c = B_c y_c, B_c = I - W_cΣ_c: weight W_cMW_c of Σ_c at the member's level,
 //!     and B_c'MB_c is M for the members of c
 //! all distances of a unit, however they are split: weight Σ_c W_c - W_cV_uW_c, V_u the posterior covariance of m
 //! ```
@@ -300,7 +300,7 @@ mod tests {
         )
     }
 
-    /// Reductions of tests of units of lots, and their grouping.
+    /// Reductions of tests of units of lots, and the grouping of the tests.
     fn ensemble() -> (Reductions, Grouping) {
         let (mut reductions, mut paths) = (Reductions::new(), Vec::new());
         for (lot, units) in UNITS.iter().enumerate() {

@@ -17,12 +17,12 @@ pub struct Verdict {
     pub residual: Joint,
 }
 
-/// A sum of squares and its law.
+/// A sum of squares with the law of the sum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Joint {
     /// Sum of the squares.
     pub squared: f64,
-    /// Degrees of freedom of the squares: the expected value of their sum at known parameters.
+    /// Degrees of freedom of the squares: E[`squared`] at known parameters.
     pub degrees_of_freedom: usize,
     /// Law of the sum; `None` without degrees of freedom, and where the law is not known.
     pub law: Option<Law>,

@@ -41,7 +41,7 @@ impl<'a> Binder<'a> {
                 numbers.insert(column, number.ok_or_else(refused)?);
             }
             if let Some(column) = model.text_columns.iter().position(|column| column.name == *name) {
-                // a text that is not among the model's literals gets a label beyond them
+                // a text that is no literal of the model gets a label after the labels of all literals
                 let literal = model.literals.iter().position(|literal| literal == value);
                 let label = Label::literal(literal.unwrap_or(model.literals.len()));
                 texts.insert(column, (label, value.clone()));
@@ -155,7 +155,8 @@ impl<'a> Binder<'a> {
     }
 }
 
-/// The expression as a number if all its parts are numbers and its value is finite; otherwise the expression itself.
+/// The value of the expression as a number, if finite and without columns, steps or parameters; otherwise the
+/// expression.
 fn folded(expression: Expression) -> Expression {
     let alpha = Alpha::default();
     let scope = Scope { numbers: &[], texts: &[], step: f64::NAN, alpha: &alpha };

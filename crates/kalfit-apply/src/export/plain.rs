@@ -1,4 +1,4 @@
-//! A model with numbers for coefficients, and the terms of its known inputs.
+//! A model with numbers for coefficients, and the terms of the known inputs.
 
 use crate::export::ExportError;
 use crate::export::bind::Binder;
@@ -74,7 +74,7 @@ impl PlainModel {
     fn measurements(&mut self, binder: &mut Binder<'_>) -> Result<(), ExportError> {
         for (m, measurement) in self.model.measurements.iter_mut().enumerate() {
             let filter = measurement.filter.take().map(|filter| binder.bind(&filter));
-            // a measurement that reads no row at these values is ignored
+            // a measurement that reads no row at the fixed values is ignored
             self.filters.push(filter);
             if reads_no_row(&self.filters[m]) {
                 self.offsets.push(Terms::new());
@@ -97,7 +97,7 @@ impl PlainModel {
         self.model.measurements = retained(&self.model.measurements, &is_read);
         self.offsets = retained(&self.offsets, &is_read);
         self.filters = retained(&self.filters, &is_read);
-        // a condition that holds on every row at these values is dropped
+        // a condition that holds on every row at the fixed values is dropped
         self.filters.iter_mut().for_each(|filter| *filter = filter.take().filter(|own| own.as_number().is_none()));
         self.model.noise_covariance.iter_mut().for_each(|(i, j, _)| (*i, *j) = (place(*i), place(*j)));
         Ok(())
@@ -140,7 +140,7 @@ fn set_number(binder: &mut Binder<'_>, expression: &mut Expression, subject: Sub
     Ok(())
 }
 
-/// Replaces a coefficient of the start by its number, or by zero where the start is not wanted.
+/// Replaces a coefficient of the start by a number: by the value, or by zero where the start is not wanted.
 fn set_start_number(
     binder: &mut Binder<'_>,
     expression: &mut Expression,

@@ -91,7 +91,8 @@ mod tests {
     fn sums_are_taken_apart_and_equal_terms_put_together() {
         use Operator::{Add, Divide, Multiply, Subtract};
         // 3 * (T - 20) / 2 - (-T) + u * 4 * T
-        let first = binary(Divide, binary(Multiply, number(3.0), binary(Subtract, column(0), number(20.0))), number(2.0));
+        let first =
+            binary(Divide, binary(Multiply, number(3.0), binary(Subtract, column(0), number(20.0))), number(2.0));
         let second = binary(Subtract, first, Box::new(Expression::Negate(column(0))));
         let whole = binary(Add, second, binary(Multiply, binary(Multiply, column(1), number(4.0)), column(0)));
         let product = *binary(Multiply, column(1), column(0));

@@ -27,7 +27,7 @@ pub enum PlanError {
     /// An element of the population that contradicts the model's structure.
     #[error("{} is {found} in the population, and the model makes it {expected}", words(element))]
     OffStructure {
-        /// The element, by its indices in μ or Σ.
+        /// The element, by indices in μ or Σ.
         element: Element,
         /// Value of the element in the population.
         found: f64,

@@ -165,7 +165,7 @@ impl DesignGroups {
     }
 }
 
-/// Tests like those of the design, in the groups of an arrangement.
+/// Tests like the tests of the design, in the groups of an arrangement.
 fn arranged(
     design: &Reductions,
     groups: &DesignGroups,

@@ -8,7 +8,7 @@ use kalfit_estimate::{FinalState, Structure, at_population};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
 
-/// Squared pivot of the scaled information below which there is no information.
+/// Squared pivot of the Cholesky factor of the scaled information below which the information counts as singular.
 const LEAST_PIVOT: f64 = 1e-10;
 
 /// Information that the estimates of suboptimal filters lose, compared with the measurements, at a population.
@@ -72,7 +72,7 @@ fn log_determinant(state: &FinalState) -> Option<f64> {
     Some(log_volume(&tangent.information)? - log_volume(&(directions.transpose() * &directions))?)
 }
 
-/// log |A| of a positive definite matrix; `None` when it is not.
+/// log |A| of a positive definite matrix; `None` for any other matrix.
 fn log_volume(a: &DMatrix<f64>) -> Option<f64> {
     let size: Vec<f64> = a.diagonal().iter().map(|x| x.sqrt()).collect();
     let scaled = DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j]);

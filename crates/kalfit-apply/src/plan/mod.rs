@@ -162,7 +162,8 @@ fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
     let p = elements.states();
     let off_diagonal = || elements.all().filter(|(i, j)| i != j);
     let means = (0..p).map(Quantity::Mean).chain((0..regressions).map(Quantity::Coefficient));
-    let deviations_and_correlations = (0..p).map(Quantity::StdDev).chain(off_diagonal().map(|(i, j)| Quantity::Correlation(i, j)));
+    let deviations_and_correlations =
+        (0..p).map(Quantity::StdDev).chain(off_diagonal().map(|(i, j)| Quantity::Correlation(i, j)));
     means.chain(deviations_and_correlations).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 

@@ -112,8 +112,13 @@ impl VarianceEstimate {
         let variance = population + (inflation - 1.0) * seen + value.process;
         let scale = variance.max(inflation * seen);
         let degrees = 2.0 * scale * scale / (estimation.variance + (inflation.powi(3) - 1.0) * of_population);
-        let variance_estimate =
-            VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean * inflation, degrees_of_mean: degrees_left };
+        let variance_estimate = VarianceEstimate {
+            variance,
+            scale,
+            degrees,
+            of_mean: estimation.mean * inflation,
+            degrees_of_mean: degrees_left,
+        };
         (degrees >= 0.5).then_some(variance_estimate)
     }
 
@@ -152,7 +157,7 @@ impl Bounds {
         normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))
     }
 
-    /// Confidence, content and sides of these limits.
+    /// Confidence, content and sides of the limits.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
@@ -185,7 +190,8 @@ impl Bounds {
 
     /// Factor h/s, a function of (s² + r)/s², V/s² and ν.
     fn factor(&self, variance_estimate: &VarianceEstimate) -> Option<f64> {
-        let [scale, of_mean] = [variance_estimate.scale, variance_estimate.of_mean].map(|x| x / variance_estimate.variance);
+        let [scale, of_mean] =
+            [variance_estimate.scale, variance_estimate.of_mean].map(|x| x / variance_estimate.variance);
         let key = [scale, of_mean, variance_estimate.degrees].map(f64::to_bits);
         if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).copied()) {
             return known;
@@ -205,7 +211,11 @@ impl Bounds {
 
     /// h with P(m_c + z_p s_c ≤ m + h) = γ.
     fn one_sided(&self, variance_estimate: &VarianceEstimate) -> Option<f64> {
-        let (z, mean_offset, s) = (normal().inverse_cdf(self.limits.content), variance_estimate.of_mean.sqrt(), variance_estimate.variance.sqrt());
+        let (z, mean_offset, s) = (
+            normal().inverse_cdf(self.limits.content),
+            variance_estimate.of_mean.sqrt(),
+            variance_estimate.variance.sqrt(),
+        );
         if variance_estimate.degrees >= KNOWN_DEGREES {
             return Some(z * s + mean_offset * normal().inverse_cdf(self.limits.confidence));
         }
@@ -216,9 +226,16 @@ impl Bounds {
                 true => (z * s - x * mean_offset) / h,
                 false => decreasing_root(&|c| z * variance_estimate.at(c) - x * mean_offset / c, h, earlier_roots),
             };
-            (0..=INTERVALS).map(node).map(|(x, weight)| weight * variance_estimate.upper_tail(&law, needed(x, &mut earlier_roots))).sum()
+            (0..=INTERVALS)
+                .map(node)
+                .map(|(x, weight)| weight * variance_estimate.upper_tail(&law, needed(x, &mut earlier_roots)))
+                .sum()
         };
-        increasing_root(&confidence_at, self.limits.confidence, variance_estimate.approximate_half_width(self.limits.confidence, z))
+        increasing_root(
+            &confidence_at,
+            self.limits.confidence,
+            variance_estimate.approximate_half_width(self.limits.confidence, z),
+        )
     }
 
     /// h with P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ.
@@ -226,7 +243,9 @@ impl Bounds {
         let (mean_offset, s) = (variance_estimate.of_mean.sqrt(), variance_estimate.variance.sqrt());
         if variance_estimate.degrees >= KNOWN_DEGREES {
             // the content falls as the mean moves further off
-            return Some(s * self.widths.at(mean_offset / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))));
+            return Some(
+                s * self.widths.at(mean_offset / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))),
+            );
         }
         let law = ChiSquared::new(variance_estimate.degrees).ok()?;
         let needed = |x: f64, c: f64| {

@@ -32,8 +32,8 @@ pub(super) struct LostDegrees<'a> {
 
 impl LostDegrees<'_> {
     /// Sum of three numbers. 1 for the means of the states that affect the value, because every test determines one
-    /// combination of these states; where variances were tied, the number of independent directions of the tied states.
-    /// 1 for each column that the means are regressed on (for each column and element where variances were tied). 1 for
+    /// combination of the states; where variances were tied, the number of independent directions of the tied states. 1
+    /// for each column that the means are regressed on (for each column and element where variances were tied). 1 for
     /// each parameter, and for each state that is identical in all tests, that contributes a noticeable part of the
     /// error of the value's mean.
     pub(super) fn lost(&self) -> usize {

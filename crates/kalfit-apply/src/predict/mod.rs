@@ -48,7 +48,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// The sum of two outputs, without a name: its variance gives their covariance.
+    /// The sum of two outputs, without a name; the variance of the sum gives the covariance of the outputs.
     pub fn sum(first: &Output, second: &Output) -> Output {
         let add = |a: &Expression, b: &Expression| {
             Expression::Binary(Operator::Add, Box::new(a.clone()), Box::new(b.clone()))
@@ -162,7 +162,7 @@ pub struct Initial {
     pub mean: Vec<f64>,
     /// Covariance of ξ.
     pub covariance: DMatrix<f64>,
-    /// Covariance of `mean` given μ and the tests of a known group; it counts among the errors of the estimates. `None`
+    /// Covariance of `mean` given μ and the tests of a known group; counts among the errors of the estimates. `None`
     /// for a new group, whose mean is μ.
     pub left: Option<DMatrix<f64>>,
     /// Derivative of `mean` with respect to μ; `None` where `mean` is μ itself.
@@ -282,7 +282,8 @@ impl Predictor {
             }
         }
         let mut propagators = self.propagators.iter();
-        let trajectory_of = |propagator: &Propagator| propagator.trajectory(&self.model, design, (initial, &self.coefficients));
+        let trajectory_of =
+            |propagator: &Propagator| propagator.trajectory(&self.model, design, (initial, &self.coefficients));
         let central = propagators.next().map(trajectory_of).expect("the model itself is the first propagator")?;
         let sides = propagators.map(trajectory_of).collect::<Result<Vec<Trajectory>, _>>()?;
         let known = self.knowledge.as_ref().map(|knowledge| (knowledge, &self.steps));

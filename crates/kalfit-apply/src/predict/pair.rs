@@ -7,7 +7,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 pub struct Pair {
     /// Means of the two quantities.
     pub mean: [f64; 2],
-    /// Variances of the two quantities, and their covariance.
+    /// (Variance of the first quantity, variance of the second, covariance of the two).
     pub variances: [f64; 3],
 }
 
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_line_is_a_normal_law() {
-        // all tests are along (3, 4) / 5: half of them are within 0.6745 standard deviations
+        // all tests are along (3, 4) / 5: half of the tests are within 0.6745 standard deviations
         let line = Pair { mean: [0.0; 2], variances: [9.0, 16.0, 12.0] };
         let expected = 5.0 * 0.674_489_75;
         assert!((line.circle(0.5) - expected).abs() < 1e-4 * expected, "{} against {expected}", line.circle(0.5));

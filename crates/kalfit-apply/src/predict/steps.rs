@@ -94,8 +94,8 @@ impl ValueSteps {
         degrees.lost()
     }
 
-    /// Variances of the estimates of a value's mean and of its variance over tests; `sides`: the value at each α of
-    /// `moved`. `None` where the value depends on a quantity that the data do not determine.
+    /// Variances of the estimates of a value's mean and of the value's variance over tests; `sides`: the value at each
+    /// α of `moved`. `None` where the value depends on a quantity that the data do not determine.
     pub(super) fn estimation(
         &self,
         knowledge: &Knowledge,

@@ -84,8 +84,11 @@ impl Propagator {
         work: &mut PhasedWork,
     ) -> Result<(PhaseTrajectory, Option<(EnteringState, Terminal)>), PredictError> {
         let phase = &self.reducer.phases()[at];
-        let (rows_without_outputs, rows_with_outputs) = (with_output_column(rows, f64::NAN), with_output_column(rows, 0.0));
-        let inherited = previous_phase.map(|previous_phase| Ok::<_, PredictError>((previous_phase, phase.inherited(&rows_without_outputs, &mut work.cells)?)));
+        let (rows_without_outputs, rows_with_outputs) =
+            (with_output_column(rows, f64::NAN), with_output_column(rows, 0.0));
+        let inherited = previous_phase.map(|previous_phase| {
+            Ok::<_, PredictError>((previous_phase, phase.inherited(&rows_without_outputs, &mut work.cells)?))
+        });
         let inherited = inherited.transpose()?;
         let evaluated_phase = EvaluatedPhase::new(phase, &rows_with_outputs)?;
         let forms = evaluated_phase.forms();
@@ -110,8 +113,11 @@ impl Propagator {
             }
             single_test_innovations(gains, work);
             let moments_at_zero = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-            let backward_input =
-                BackwardInput::of((work, gains), (&moments_at_zero, None), AdjointsWanted { motion: true, equation: false });
+            let backward_input = BackwardInput::of(
+                (work, gains),
+                (&moments_at_zero, None),
+                AdjointsWanted { motion: true, equation: false },
+            );
             let mut steps = forms.into_iter();
             let mut trajectory = Vec::with_capacity(work.design.steps());
             backward_input.filtered_states(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
@@ -125,7 +131,10 @@ impl Propagator {
             let end = gains.terminal(states, &work.pass.x);
             (PhaseTrajectory { phase: at, steps: trajectory }, end.map(|end| (entering, end)))
         };
-        phase.reducer.with_gains(&rows_without_outputs, &mut work.phases[at], propagate).map_err(|error| phase.named(error).into())
+        phase
+            .reducer
+            .with_gains(&rows_without_outputs, &mut work.phases[at], propagate)
+            .map_err(|error| phase.named(error).into())
     }
 }
 

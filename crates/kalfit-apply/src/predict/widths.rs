@@ -1,4 +1,4 @@
-//! Half widths of intervals that hold a given part of the normal law, about a point off its mean.
+//! Half widths of intervals about a point at distance x from the mean that contain a given part of the normal law.
 
 use statrs::distribution::{ContinuousCDF, Normal};
 

@@ -119,7 +119,10 @@ impl<A: Algebra> ChainPhases<'_, A> {
         for (i, (phase, later_information)) in self.phases.iter().zip(&later_information).enumerate() {
             let (own, next) = (phase.own.len(), self.phases.get(i + 1));
             let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &later_information.factor)], &mut is_accurate);
-            let u = A::solved_data(&upper, A::less(later_information.data.clone(), &A::apply(&later_information.factor, &m)));
+            let u = A::solved_data(
+                &upper,
+                A::less(later_information.data.clone(), &A::apply(&later_information.factor, &m)),
+            );
             let Y = A::solved(&upper, later_information.factor.clone());
             if i == 0 {
                 root_det.add::<A>(&upper);
@@ -132,7 +135,13 @@ impl<A: Algebra> ChainPhases<'_, A> {
                 N.push(information);
             }
             if detail == ChainDetail::Posterior {
-                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), later_information, &mut is_accurate));
+                covariances.push(posterior_covariance::<A>(
+                    prior,
+                    phase,
+                    rest.as_ref(),
+                    later_information,
+                    &mut is_accurate,
+                ));
             }
             let Some(next) = next else { continue };
             let link = next.link.as_ref().expect("later phases have links");
@@ -147,7 +156,11 @@ impl<A: Algebra> ChainPhases<'_, A> {
             A::absorb_rows(&mut B, inherited);
             A::absorb_rows(&mut B, link.root.clone());
         }
-        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &transitions) } else { diagonal_blocks(within) };
+        let W = if detail == ChainDetail::Between {
+            self.blocks(within, &N, &transitions)
+        } else {
+            diagonal_blocks(within)
+        };
         let link_root_det = match detail {
             ChainDetail::Posterior => self.link_root_det(&mut is_accurate).parts(),
             _ => RootDet::new().parts(),

@@ -77,7 +77,8 @@ impl ChainedClass {
         let prior = Prior { root, mean };
         let plain =
             if self.needs_rotations { None } else { self.phases_with::<CrossFactors<f64>>().evaluated(&prior, detail) };
-        plain.unwrap_or_else(|| self.phases_with::<Rotations<f64>>().evaluated(&prior, detail).expect(ROTATIONS_SUCCEED))
+        plain
+            .unwrap_or_else(|| self.phases_with::<Rotations<f64>>().evaluated(&prior, detail).expect(ROTATIONS_SUCCEED))
     }
 
     /// A class with the matrices of this class, but no tests: n = 0 and d = 0.
@@ -114,14 +115,15 @@ fn scales(q: usize, own: &Range<usize>, frame: &Frame, scale: &mut Vec<f64>) {
     scale.resize(q, 1.0);
 }
 
-/// Sets `sigma` to σ of a phase at the centre of the frame without noise; `previous_sigma` is σ of the phase before.
+/// Sets `sigma` to σ of a phase at the centre of the frame without noise; `before` is σ of the phase before.
 fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, previous_sigma: &[f64], sigma: &mut Vec<f64>) {
     sigma.clear();
     sigma.extend_from_slice(&frame.centre[own.clone()]);
     sigma.resize(phase.data.len(), 0.0);
     if let Some(link) = &phase.link {
         for (i, s) in sigma.iter_mut().enumerate() {
-            *s += link.mean[i] + previous_sigma.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
+            *s += link.mean[i]
+                + previous_sigma.iter().enumerate().map(|(k, x)| link.sensitivity[(i, k)] * x).sum::<f64>();
         }
     }
 }

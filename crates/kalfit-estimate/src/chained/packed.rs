@@ -112,12 +112,12 @@ impl Packed {
         let prior = Prior { root, mean };
         let size = if self.shape.columns == 1 { Some(self.shape.widest()) } else { None };
         match size {
-            Some(1) if T::OWN_SIZES >= 1 => self.by::<Fixed<T, 1>>(&prior, detail),
-            Some(2) if T::OWN_SIZES >= 2 => self.by::<Fixed<T, 2>>(&prior, detail),
-            Some(3) if T::OWN_SIZES >= 3 => self.by::<Fixed<T, 3>>(&prior, detail),
-            Some(4) if T::OWN_SIZES >= 4 => self.by::<Fixed<T, 4>>(&prior, detail),
-            Some(5 | 6) if T::OWN_SIZES >= 6 => self.by::<Fixed<T, 6>>(&prior, detail),
-            Some(7 | 8) if T::OWN_SIZES >= 8 => self.by::<Fixed<T, 8>>(&prior, detail),
+            Some(1) if T::MAX_FIXED_SIZE >= 1 => self.by::<Fixed<T, 1>>(&prior, detail),
+            Some(2) if T::MAX_FIXED_SIZE >= 2 => self.by::<Fixed<T, 2>>(&prior, detail),
+            Some(3) if T::MAX_FIXED_SIZE >= 3 => self.by::<Fixed<T, 3>>(&prior, detail),
+            Some(4) if T::MAX_FIXED_SIZE >= 4 => self.by::<Fixed<T, 4>>(&prior, detail),
+            Some(5 | 6) if T::MAX_FIXED_SIZE >= 6 => self.by::<Fixed<T, 6>>(&prior, detail),
+            Some(7 | 8) if T::MAX_FIXED_SIZE >= 8 => self.by::<Fixed<T, 8>>(&prior, detail),
             _ => self.by::<CrossFactors<T>>(&prior, detail),
         }
     }

@@ -32,7 +32,14 @@ impl<T: Lanes> ProductSums<T> {
     pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> ProductSums<T> {
         let rows = if wanted { rows } else { 0 };
         let zero_buffer = |size: usize| vec![T::splat(0.0); size * if wanted { BUFFERED_BLOCKS } else { 0 }];
-        ProductSums { rows, columns, left: zero_buffer(rows), right: zero_buffer(columns), filled: 0, sum: vec![0.0; rows * columns] }
+        ProductSums {
+            rows,
+            columns,
+            left: zero_buffer(rows),
+            right: zero_buffer(columns),
+            filled: 0,
+            sum: vec![0.0; rows * columns],
+        }
     }
 
     /// Buffers for the next a and b; the caller writes every number of both.

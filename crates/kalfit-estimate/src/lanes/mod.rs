@@ -69,13 +69,16 @@ impl ClassBatches {
         let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
         let mut constants = vec![0.0; count];
         let blocks = numbers.par_chunks_mut(size.max(1)).zip(constants.par_chunks_mut(lanes)).enumerate();
-        blocks.with_min_len(MIN_FILLED_BLOCKS).for_each_init(Class::default, |class_buffer, (at, (block, constants))| {
-            for (lane, constant) in constants.iter_mut().enumerate() {
-                class(at * lanes + lane, class_buffer);
-                layout.put(class_buffer.view(), (block, lane, lanes));
-                *constant = class_buffer.constant;
-            }
-        });
+        blocks.with_min_len(MIN_FILLED_BLOCKS).for_each_init(
+            Class::default,
+            |class_buffer, (at, (block, constants))| {
+                for (lane, constant) in constants.iter_mut().enumerate() {
+                    class(at * lanes + lane, class_buffer);
+                    layout.put(class_buffer.view(), (block, lane, lanes));
+                    *constant = class_buffer.constant;
+                }
+            },
+        );
         let constant = constants.iter().sum();
         ClassBatches { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant, unit: 1.0 }
     }

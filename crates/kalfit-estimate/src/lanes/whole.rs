@@ -37,16 +37,16 @@ impl Kernel for BlockPass<'_> {
             return self.any::<T>();
         }
         match self.layout.p {
-            1 if T::OWN_SIZES >= 1 => self.sized::<T, 1>(),
-            2 if T::OWN_SIZES >= 2 => self.sized::<T, 2>(),
-            3 if T::OWN_SIZES >= 3 => self.sized::<T, 3>(),
-            4 if T::OWN_SIZES >= 4 => self.sized::<T, 4>(),
-            5 if T::OWN_SIZES >= 5 => self.sized::<T, 5>(),
-            6 if T::OWN_SIZES >= 6 => self.sized::<T, 6>(),
-            7 if T::OWN_SIZES >= 7 => self.sized::<T, 7>(),
-            8 if T::OWN_SIZES >= 8 => self.sized::<T, 8>(),
-            9 if T::OWN_SIZES >= 9 => self.sized::<T, 9>(),
-            10 if T::OWN_SIZES >= 10 => self.sized::<T, 10>(),
+            1 if T::MAX_FIXED_SIZE >= 1 => self.sized::<T, 1>(),
+            2 if T::MAX_FIXED_SIZE >= 2 => self.sized::<T, 2>(),
+            3 if T::MAX_FIXED_SIZE >= 3 => self.sized::<T, 3>(),
+            4 if T::MAX_FIXED_SIZE >= 4 => self.sized::<T, 4>(),
+            5 if T::MAX_FIXED_SIZE >= 5 => self.sized::<T, 5>(),
+            6 if T::MAX_FIXED_SIZE >= 6 => self.sized::<T, 6>(),
+            7 if T::MAX_FIXED_SIZE >= 7 => self.sized::<T, 7>(),
+            8 if T::MAX_FIXED_SIZE >= 8 => self.sized::<T, 8>(),
+            9 if T::MAX_FIXED_SIZE >= 9 => self.sized::<T, 9>(),
+            10 if T::MAX_FIXED_SIZE >= 10 => self.sized::<T, 10>(),
             _ => self.any::<T>(),
         }
     }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use kalfit_lanes::{Lanes, MOST};
+use kalfit_lanes::{Lanes, MAX_LANES};
 
 use crate::levels::batches::UnitBatch;
 use crate::levels::design::{Leaf, UnitDesign, UnitGroup, UnitTest};
@@ -23,8 +23,12 @@ pub(super) struct BatchData<'a, T> {
 }
 
 impl<'a> BatchData<'a, f64> {
-    /// The units `selected_units` of one design, one unit in each column.
-    pub(super) fn equal_designs(units: &Units, design: &'a UnitDesign, selected_units: Range<usize>) -> BatchData<'a, f64> {
+    /// The units `some` of one design, one unit in each column.
+    pub(super) fn equal_designs(
+        units: &Units,
+        design: &'a UnitDesign,
+        selected_units: Range<usize>,
+    ) -> BatchData<'a, f64> {
         let mut leaves: Vec<Leaf> = Vec::new();
         let mut last = None;
         let tests = design.tests.iter().map(|member| {
@@ -60,7 +64,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
         let p = units.states;
         let (mut tests, mut leaves, mut data) = (Vec::new(), Vec::new(), Vec::new());
         for (test, &group) in batch.tests.iter().enumerate() {
-            let mut lane_tests = [None; MOST];
+            let mut lane_tests = [None; MAX_LANES];
             for (lane, lane_tests) in batch.lanes.iter().zip(&mut lane_tests) {
                 if let Some(number) = lane.tests[test] {
                     let design = &units.designs[lane.design];
@@ -84,7 +88,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
 }
 
 /// The test in each lane: leaf, d in every unit of the design (p × units), and the unit's column of d.
-type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
+type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MAX_LANES];
 
 #[inline(always)]
 fn leaf_in_lanes<T: Lanes>(lane_tests: &TestLanes<'_>, p: usize) -> Leaf<T> {
@@ -112,7 +116,7 @@ fn leaf_in_lanes<T: Lanes>(lane_tests: &TestLanes<'_>, p: usize) -> Leaf<T> {
 /// One number of the test in each lane, zero where there is no test.
 #[inline(always)]
 fn in_lanes<T: Lanes>(lane_tests: &TestLanes<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
-    let mut all = [0.0; MOST];
+    let mut all = [0.0; MAX_LANES];
     for (to, test) in all.iter_mut().zip(lane_tests) {
         if let Some(test) = test {
             *to = number(test);

@@ -1,6 +1,6 @@
 //! Batches of units with different designs, one unit in each lane.
 
-use kalfit_lanes::{Isa, MOST};
+use kalfit_lanes::{Isa, MAX_LANES};
 
 use crate::levels::design::{UnitDesign, UnitGroup};
 
@@ -38,7 +38,7 @@ pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
     };
     let mut units: Vec<(UnitShape, usize, usize)> = designs.iter().enumerate().flat_map(few).collect();
     units.sort_by_cached_key(|(shape, design, unit)| (shape.size(), shape.signature(), *design, *unit));
-    units.chunks(isa.lanes().min(MOST)).map(|units| UnitBatch::of(units, designs)).collect()
+    units.chunks(isa.lanes().min(MAX_LANES)).map(|units| UnitBatch::of(units, designs)).collect()
 }
 
 impl UnitDesign {

@@ -56,7 +56,12 @@ fn variances_of_state(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
 
 impl UnitDesign {
     /// Calls `on_moments` with the level, the state i, (y - Jμ)_i and J_ii of each test, and of the sum over each group.
-    fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), on_moments: &mut dyn FnMut(usize, usize, f64, f64)) {
+    fn moments(
+        &self,
+        leaves: &[Leaf],
+        (mean, scale): (&[f64], f64),
+        on_moments: &mut dyn FnMut(usize, usize, f64, f64),
+    ) {
         let p = mean.len();
         for unit in 0..self.units.len() {
             let mut sums = vec![(vec![0.0; p], vec![0.0; p]); self.groups.len()];

@@ -1,7 +1,7 @@
 //! Upward and downward pass through the groups of units: from the tests to the units and back.
 #![expect(non_snake_case, reason = "R, U, W, V are the letters of the theory")]
 
-use kalfit_lanes::{Lanes, MOST, Part};
+use kalfit_lanes::{Lanes, MAX_LANES, Part};
 
 use crate::levels::batch_data::BatchData;
 use crate::levels::design::Leaf;
@@ -363,9 +363,9 @@ impl<T: Lanes> Part for LogDet<'_, T> {
 
     #[inline(always)]
     fn run(self) -> T {
-        let mut sums = [0.0; MOST];
+        let mut sums = [0.0; MAX_LANES];
         for i in 0..self.0.nrows() {
-            let mut diagonal = [1.0; MOST];
+            let mut diagonal = [1.0; MAX_LANES];
             self.0[(i, i)].store(&mut diagonal);
             for lane in 0..T::COUNT {
                 sums[lane] += 2.0 * diagonal[lane].ln();

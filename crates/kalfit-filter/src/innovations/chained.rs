@@ -1,11 +1,11 @@
-//! Innovations of tests in phases: one filter over all phases, from the factors of each (theory §7).
+//! Innovations of tests in phases: one filter over all phases, by square roots (theory §7).
 //!
-//! The filter of a phase runs with σ = 0, as for its reduction, and gives e, S and T of each measurement: given σ, its
-//! innovation is e - Tσ, of variance S. The law of σ is known from all earlier measurements, of the phase and of
-//! earlier phases ([`EnteringLaw`]), so that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. At the
-//! last step the link between phases turns the law of σ into that of the next phase's σ. The contribution of Σ is kept
-//! in square roots, because Σ may be singular, zero or huge. For tests that do not need this, [`PhaseFilters`] is
-//! faster.
+//! The filter of a phase runs with σ = 0, as for its reduction, and gives e, S and T of each measurement: given σ, the
+//! innovation is e - Tσ with variance S. The law of σ is known from all earlier measurements, of the phase and of
+//! earlier phases ([`EnteringLaw`]), so that the innovation of the test is e - Tσ̂ with variance S + T Var(σ) T'. At
+//! the last step the link between phases turns the law of σ into that of the next phase's σ. The contribution of Σ is
+//! in square roots, because Σ may be singular, zero or huge. For tests that do not need square roots, [`PhaseFilters`]
+//! is faster.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -39,7 +39,7 @@ pub(crate) struct InnovationWorkspace {
     plain: Vec<PhaseWorkspace>,
 }
 
-/// Takes the rows of a phase, given by its index, into the law of its σ.
+/// A function that takes the rows of a phase, (index of the phase, rows), into the law of σ of the phase.
 pub(crate) type GainsVisitor<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut EnteringLaw) + 'a;
 
 impl ChainedFilter {
@@ -86,8 +86,8 @@ impl ChainedFilter {
         tests.iter().zip(plain).map(|(whole, series)| self.one(whole, series, &mut room.phases)).collect()
     }
 
-    /// The innovations of a test: `plain`, where plain covariances gave them, else those of `by_square_roots`, which decides
-    /// whether an invalid covariance is only rounding, and reports any other error.
+    /// The innovations of a test: `plain`, if plain covariances gave innovations, else the result of `by_square_roots`,
+    /// which decides whether an invalid covariance is only rounding, and reports any other error.
     fn one(
         &self,
         whole: &PhasedTest,
@@ -105,8 +105,8 @@ impl ChainedFilter {
         Ok(has_innovations.then(|| Innovations::new(whole.id.to_string(), series, rest)))
     }
 
-    /// In square roots: the innovations, log p of the phases without innovations, and whether there are phases with
-    /// innovations.
+    /// (innovations, log p of the phases without innovations, true if a phase has innovations) of a test, computed in
+    /// square roots.
     fn by_square_roots(
         &self,
         whole: &PhasedTest,
@@ -124,8 +124,8 @@ impl ChainedFilter {
         Ok((series, rest, has_innovations))
     }
 
-    /// Filters a test phase by phase, in square roots. `take` takes the rows of a phase that is filtered here into the
-    /// law of its σ, and leaves x̂_K in the work space. Returns log p of the other phases.
+    /// Filters a test phase by phase, in square roots. `take` takes the rows of each phase that is filtered here into
+    /// the law of σ of the phase, and writes x̂_K to the work space. Returns log p of the phases not filtered here.
     pub fn through(
         &self,
         whole: &PhasedTest,
@@ -169,7 +169,8 @@ impl ChainedFilter {
         found.map_err(|error| phase.named(error))
     }
 
-    /// Takes in a phase that is given otherwise than by rows, and adds its log p given all earlier phases.
+    /// Takes in a phase that is given otherwise than by rows, and adds log p of the phase given all earlier phases to
+    /// `log_density`.
     fn given(
         &self,
         at: usize,
@@ -189,14 +190,14 @@ impl ChainedFilter {
 
 /// A phase after its measurements have been taken in.
 struct FilteredPhase {
-    /// Mean of σ and root of its covariance.
+    /// (mean of σ, F), where FF' is the covariance of σ.
     law: (DVector<f64>, DMatrix<f64>),
     /// Law of x_K given σ.
     terminal: Option<Terminal>,
 }
 
 impl FilteredPhase {
-    /// Mean of what the next phase inherits, and root of its covariance.
+    /// (mean, root of the covariance) of T x_K + t, which the next phase inherits.
     fn link(&self, inherited: &Inherited) -> (DVector<f64>, DMatrix<f64>) {
         let Inherited { transition, input } = inherited;
         let Terminal { mean, sensitivity, root } = self.terminal.as_ref().expect("another phase follows");
@@ -209,7 +210,7 @@ impl FilteredPhase {
     }
 }
 
-/// Takes in a phase that is given otherwise than by rows; returns its log p given all earlier phases.
+/// Takes a phase that is given otherwise than by rows into `law`; returns log p of the phase given all earlier phases.
 fn absorb(phase: ReductionRef<'_>, law: &mut EnteringLaw) -> f64 {
     let q = phase.data.len();
     let mut log_density = phase.constant;

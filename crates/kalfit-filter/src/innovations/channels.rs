@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use crate::innovations::innovation::Innovation;
 
-/// e/√S of each measurement of each phase that has any, in the order of phases and measurements.
+/// e/√S of each measurement of each phase, without measurements that have no innovations, in the order of phases and
+/// measurements.
 #[derive(Debug)]
 pub(super) struct Channels {
     standardised: Vec<f64>,
@@ -32,7 +33,8 @@ impl Channels {
     pub(super) fn of(series: &[Innovation]) -> Channels {
         let mut channels = Channels { standardised: vec![0.0; series.len()], spans: Vec::new() };
         let mut start = 0;
-        // count of each measurement's innovations, then the index where its next one goes
+        // for each measurement: first the number of innovations, then the index in `standardised` of the next
+        // innovation
         let mut next = Vec::new();
         for phase in series.chunk_by(|a, b| a.phase == b.phase) {
             next.clear();

@@ -10,7 +10,8 @@ pub struct Innovation {
     /// Time of the step, where the model has times; in the model's time unit.
     pub time: Option<f64>,
     /// Index of the measurement in the phase's model. Where noises are correlated, the innovation of a later
-    /// measurement of a step excludes the part of its noise that earlier ones predict.
+    /// measurement of a step excludes the part of the noise that earlier measurements of the step
+    /// predict.
     pub measurement: usize,
     /// e, in the measurement's unit.
     pub value: f64,

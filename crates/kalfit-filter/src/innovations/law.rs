@@ -4,13 +4,14 @@ use nalgebra::{DMatrix, DVector};
 
 use kalfit_algebra::fold::{fold, fold_row};
 
-/// σ = m + Fu with u ~ N(0, I) before the phase's measurements, and square-root information [R | d] on u from them:
+/// The law of σ = m + Fu: u ~ N(0, I) before the phase's measurements, and the measurements give square-root
+/// information [R | d] on u:
 ///
 /// ```text
 /// σ | z ~ N(m + F R⁻¹d, F R⁻¹R⁻ᵀF')
 /// ```
 ///
-/// R begins as the identity, so that it always has an inverse, whatever F is: Σ may be singular, zero or huge.
+/// R begins as the identity, so that R always has an inverse, whatever F is: Σ may be singular, zero or huge.
 #[derive(Debug, Clone)]
 pub struct EnteringLaw {
     mean: DVector<f64>,
@@ -18,7 +19,7 @@ pub struct EnteringLaw {
     root: DMatrix<f64>,
     /// [R | d; 0 residual of e], (c + 1) × (c + 1), row-major.
     information: Vec<f64>,
-    /// F't of the last measurement, followed by its residual at m.
+    /// [F't, e - t'm] of the last measurement, c + 1 numbers.
     row: Vec<f64>,
     /// R⁻ᵀF't of the last measurement.
     whitened_row: Vec<f64>,
@@ -55,7 +56,7 @@ impl EnteringLaw {
         (value, variance)
     }
 
-    /// Mean of σ, and root of its covariance, given all measurements taken in.
+    /// (mean of σ, root of the covariance of σ), given all measurements taken in.
     pub fn posterior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let c = self.root.ncols();
         let width = c + 1;
@@ -85,7 +86,7 @@ fn solve_transposed(array: &[f64], width: usize, x: &mut [f64]) {
     }
 }
 
-/// An equivalent root with no more columns than rows.
+/// A root G with GG' = FF' for the root F, with at most as many columns as rows.
 fn with_fewest_columns(root: &DMatrix<f64>) -> DMatrix<f64> {
     let q = root.nrows();
     if root.ncols() <= q {

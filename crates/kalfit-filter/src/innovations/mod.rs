@@ -2,7 +2,7 @@
 //!
 //! At an estimate the filter of a test starts from x_0 ~ N(a + Aμ_j, P0 + AΣA'), with nothing unknown. Its innovations
 //! e with variances S, one scalar measurement at a time (correlated noise is whitened first), are then such that e/√S
-//! are independent N(0, 1), if the model is right. From them, for each test:
+//! are independent N(0, 1), if the model is right. The innovations of a test give:
 //!
 //! ```text
 //! NIS = Σ e²/S ~ χ²_n        mean of e/√S ~ N(0, 1/n)        whiteness: Ljung and Box, see Whiteness
@@ -13,8 +13,9 @@
 //! ensembles.
 //!
 //! There is one filter, that of [`reduce`](crate::reduce). What Σ and earlier phases imply for the start of a phase
-//! becomes part of P0, so that no σ remains; or, where that needs square roots, it is added to the results of the
-//! filter (theory §7). Every innovation is conditional on all earlier measurements, of its phase and of earlier phases.
+//! becomes part of P0, so that no σ remains; where that would need square roots, the law of σ corrects the results of
+//! the filter instead (theory §7). Every innovation is conditional on all earlier measurements, of the phase and of
+//! earlier phases.
 
 mod chained;
 mod channels;
@@ -39,9 +40,9 @@ use crate::reduce::{ReduceError, chunk_size, of_shape, refuse};
 use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
 
-/// Innovations of all tests, in their order; `None` for a test all of whose phases are given by estimates or
-/// reductions, which no longer contain the measurements. A phase with its own filter has no innovations either: its
-/// evidence is the filter's estimates.
+/// Innovations of each test, in the order of the tests; `None` for a test whose phases are all given by estimates or
+/// reductions, which no longer contain the measurements. A phase with a given filter has no innovations either:
+/// the filter's estimates are the evidence.
 ///
 /// # Errors
 /// As [`PhasedReducer::reduce`](crate::reduce::PhasedReducer::reduce), for the first test with an error; also when Σ
@@ -55,8 +56,8 @@ pub fn innovations(
     InnovationFilter::new(model, alpha, initial)?.run(tests).into_iter().collect()
 }
 
-/// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch.
-/// It holds `None` when the only phase has its own filter, whose estimates are the evidence.
+/// The filter behind [`innovations`], for ensembles that come in batches: the batches share design classes. `None` when
+/// the only phase has a given filter, whose estimates are the evidence.
 #[derive(Debug)]
 pub struct InnovationFilter(Option<Box<ChainedFilter>>);
 
@@ -72,8 +73,8 @@ impl InnovationFilter {
         Ok(InnovationFilter(chained.map(Box::new)))
     }
 
-    /// Innovations of each test, in their order, or the error of the test. The results depend neither on batches nor on
-    /// threads.
+    /// Innovations of each test, or the error of the test, in the order of the tests; `None` for a test without
+    /// innovations. The results depend neither on batches nor on threads.
     pub fn run(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Innovations>, ReduceError>> {
         let Some(filter) = &self.0 else { return tests.iter().map(|_| Ok(None)).collect() };
         let rows = tests.iter().map(PhasedTest::row_count).sum();
@@ -85,7 +86,7 @@ impl InnovationFilter {
     }
 }
 
-/// Checks that the shapes of `initial` are those of the model.
+/// Checks that `initial` has the shapes of the model: p, number of regressions, p × p.
 fn check(model: &PhasedModel, initial: &Population) -> Result<(), ReduceError> {
     let (p, regressors) =
         (model.dimension(), model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum::<usize>());

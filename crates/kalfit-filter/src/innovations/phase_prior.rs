@@ -1,10 +1,10 @@
-//! What a phase adds to the state that it begins with.
+//! The prior of a phase: the mean and the covariance that a phase adds to the inherited state.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::innovations::law::EnteringLaw;
 
-/// Prior of a phase: what the phase adds to the inherited state.
+/// The mean and the covariance that a phase adds to the inherited state.
 #[derive(Debug)]
 pub(super) struct PhasePrior {
     pub(super) mean: Vec<f64>,
@@ -15,12 +15,12 @@ pub(super) struct PhasePrior {
     /// Σ, p × p.
     pub(super) covariance: DMatrix<f64>,
     pub(super) time: Option<usize>,
-    /// Whether the phase has its own filter, so that its measurements are not evidence.
+    /// True if the phase has a given filter: the filter's estimates are evidence, the measurements are not.
     pub(super) filtered: bool,
 }
 
 impl PhasePrior {
-    /// What the phase adds to the mean of σ, q numbers.
+    /// μ plus regressions on the covariates: the phase's addition to the mean of σ, q numbers.
     pub(super) fn mean_of(&self, covariates: &[f64], q: usize) -> DVector<f64> {
         let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));
         for (&(element, coefficient), covariate) in self.regressions.iter().zip(covariates) {
@@ -29,8 +29,8 @@ impl PhasePrior {
         mean
     }
 
-    /// The law of σ of a phase, q numbers, given all earlier phases; `inherited` is the mean of what comes from the
-    /// phase before, and the root of its covariance.
+    /// The law of σ of a phase, q numbers, given all earlier phases; `inherited`: (mean, root of the covariance) of
+    /// T x_K + t from the phase before.
     pub(super) fn law(
         &self,
         covariates: &[f64],

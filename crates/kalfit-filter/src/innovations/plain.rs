@@ -37,8 +37,8 @@ struct PhaseFilter {
     reducer: Reducer,
     /// States through which σ enters.
     entering: Vec<usize>,
-    /// Whether this is the only phase: no covariance is handed on, and the innovations may come from square-root
-    /// arrays.
+    /// True if the model has one phase: no covariance passes to a next phase, and the innovations may come from
+    /// square-root arrays.
     is_only_phase: bool,
 }
 
@@ -47,12 +47,12 @@ struct PhaseFilter {
 pub(super) struct PhaseWorkspace {
     work: Workspace,
     batch_workspace: BatchWorkspace,
-    /// Tests of the current batch, each with its design; `unused_skeletons` holds unused work space for more.
+    /// Skeletons of the tests of the current batch; `unused_skeletons` holds skeletons for further tests.
     own: Vec<Skeleton>,
     unused_skeletons: Vec<Skeleton>,
 }
 
-/// Result of a phase: its innovations, and the last state where another phase follows.
+/// The result of a phase: (innovations, last state if another phase follows).
 type PhaseResult = (Vec<Innovation>, Option<Terminal>);
 
 /// A test on its way through the phases.
@@ -63,7 +63,8 @@ struct Track {
     before: Option<Terminal>,
 }
 
-/// A phase, and its rows in those tests of a batch that have it and have not failed so far.
+/// A phase of a batch of tests, and for each test the rows of the phase; `None` for a test that lacks the phase or has
+/// failed before.
 struct PhaseBatch<'a> {
     at: usize,
     known: &'a PhaseFilter,
@@ -120,14 +121,14 @@ fn rows_of(test: &PhasedTest, at: usize) -> Option<&Test> {
     }
 }
 
-/// e, S and e/√S where nothing is unknown.
+/// e, S and e/√S from e and `weight` = 1/S, where nothing is unknown.
 fn figures(value: f64, weight: f64) -> Figures {
     let (variance, standardised) = (weight.recip(), value * weight.sqrt());
     Figures { value, variance, standardised }
 }
 
 impl PhaseBatch<'_> {
-    /// Filters the phase of all tests that have it.
+    /// Filters the phase of all tests that have rows in it.
     fn run(
         &self,
         of: (&PhasePrior, &PhaseReducer),
@@ -198,7 +199,8 @@ impl PhaseBatch<'_> {
         reducer.with_prepared(rows, work, result_of_gains).ok()?
     }
 
-    /// Innovations and last state from the gains; `None` where the gains are square-root arrays and other phases exist.
+    /// Innovations and last state from the gains; `None` where square-root arrays made the gains and the
+    /// model has other phases.
     fn result_of_gains(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<PhaseResult> {
         if gains.rotations.is_some() && !self.known.is_only_phase {
             return None;
@@ -225,8 +227,7 @@ fn add_to_track(track: &mut Option<Track>, found: Option<PhaseResult>) {
 }
 
 impl PhaseFilter {
-    /// The moments of σ of a test with these rows and covariates, at the places where they enter a and P0; `None` on an
-    /// error.
+    /// Mean and covariance of σ of a test with these rows and covariates, as terms of a and P0; `None` on an error.
     fn entering(
         &self,
         (rows, covariates): (&Test, &[f64]),

@@ -1,4 +1,4 @@
-//! Innovations of rows, from a data pass over them.
+//! Innovations of the rows of a phase, from a data pass over the rows.
 
 use crate::innovations::innovation::Innovation;
 use crate::reduce::{Gains, Instance, Workspace, single_test_innovations};
@@ -12,8 +12,8 @@ pub(crate) struct Figures {
 }
 
 /// Runs the data pass over the rows of a phase in the work space. `figures` maps e, 1/S and T of the filter to the
-/// figures of the innovation. A measurement that can only have one value is omitted; the reduction checks that it has
-/// that value.
+/// figures of the innovation. A measurement that can only have one value is omitted; the reduction checks that
+/// value.
 pub(crate) fn series(
     place: (usize, &Test, Option<usize>),
     gains: &Gains,
@@ -30,7 +30,7 @@ pub(crate) fn series(
     listed(place, steps.zip(instances.iter()), each)
 }
 
-/// Innovations in the order of the measurements, which come with their steps; measurements without figures are omitted.
+/// Innovations in the order of `measured`, which gives (step, measurement); measurements without figures are omitted.
 /// The first argument is (phase, rows, column of times).
 pub(crate) fn listed(
     (phase, rows, time): (usize, &Test, Option<usize>),
@@ -47,7 +47,7 @@ pub(crate) fn listed(
     series
 }
 
-/// Whether all figures are finite.
+/// True if S and e/√S of all innovations are finite.
 pub(crate) fn are_finite(series: &[Innovation]) -> bool {
     series.iter().all(|one| one.standardised.is_finite() && one.variance.is_finite())
 }

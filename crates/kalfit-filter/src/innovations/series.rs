@@ -43,7 +43,7 @@ pub struct Part {
     pub phase: usize,
     /// Index of the measurement in the phase's model.
     pub measurement: usize,
-    /// Summary of these innovations.
+    /// Summary of the innovations of the measurement.
     pub summary: Summary,
 }
 
@@ -56,8 +56,8 @@ impl Innovations {
         Innovations { test, log_likelihood: rest - 0.5 * (logs + summary.nis), summary, series }
     }
 
-    /// Summaries for each measurement of each phase that has innovations, in the order of phases and measurements. They
-    /// show which measurement does not behave as the model says.
+    /// Summaries for each measurement of each phase that has innovations, in the order of phases and measurements. The
+    /// summaries show which measurement does not behave as the model says.
     pub fn parts(&self) -> Vec<Part> {
         let part = |Channel { phase, measurement, standardised }: Channel<'_>| {
             let whiteness = Whiteness::of(std::iter::once(standardised));
@@ -68,7 +68,7 @@ impl Innovations {
 }
 
 impl Summary {
-    /// Summary of these e/√S.
+    /// Summary of innovations with these e/√S and this test of whiteness.
     fn of(standardised: impl ExactSizeIterator<Item = f64> + Clone, whiteness: Option<Whiteness>) -> Summary {
         let count = standardised.len();
         let nis = standardised.clone().map(|z| z * z).sum::<f64>();
@@ -85,7 +85,7 @@ impl Summary {
     }
 
     /// Two-sided p-value of the NIS: twice the smaller tail. Innovations smaller than the model predicts count against
-    /// it too.
+    /// the model too.
     ///
     /// `absorbed` is 0 where μ and Σ are known, p where they were estimated from this test among others. An estimate
     /// that follows the test makes its innovations small, but under any μ and Σ at least the residuals at the best ξ

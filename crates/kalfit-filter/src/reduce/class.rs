@@ -23,7 +23,7 @@ impl DesignClass {
         self.0.value()
     }
 
-    /// The last state, if it was wanted.
+    /// Ψ_K and a root of P_K of the last state; `None` if no last state is wanted.
     pub(crate) fn end(&self) -> Option<&Arc<TerminalRoot>> {
         self.0.value().as_ref().ok()?.end.as_ref()
     }

@@ -1,7 +1,8 @@
 //! The design of a test: everything that S, K, T, P and J depend on, with the states in kernel order.
 //!
-//! Kernel order: noise-reachable states first (those that P0 or process noise ever reaches; P has rows for them alone),
-//! then other states that move, then states that never move. Random constants that never move enter only through Ψ.
+//! Kernel order: noise-reachable states first (states that P0 or process noise ever reaches; P has rows for these
+//! alone), then other states that move, then states that never move. Random constants that never move enter only
+//! through Ψ.
 
 mod identity;
 
@@ -29,11 +30,11 @@ pub struct StateFrame {
     pub p: usize,
     /// Number of noise-reachable states.
     pub r: usize,
-    /// For each state: the column k, if its row of Ψ is always the unit vector of column k, else [`DENSE`] or [`ZERO`].
+    /// For each state: k if the row of Ψ is always unit vector k, else [`DENSE`] or [`ZERO`].
     pub(crate) rows: Vec<u32>,
     /// A, n × p, row-major.
     pub sensitivity: Vec<f64>,
-    /// States with a known input b.
+    /// Positions of the states with a known input b, in kernel order.
     pub driven: Vec<u32>,
     /// Digest of n, p, r, `rows` and `sensitivity`.
     pub(crate) digest: u128,
@@ -62,13 +63,14 @@ impl StateFrame {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct TransitionRow {
     pub(crate) state: u32,
-    /// Its terms are start..end; those before `reach` belong to noise-reachable states.
+    /// The terms of the row are start..end; terms before `reach` belong to noise-reachable states.
     pub(crate) start: u32,
     pub(crate) reach: u32,
     pub(crate) end: u32,
 }
 
-/// The entries of φ and Q that a step stores: no identity rows, no zeros. All transitions of a model share one pattern.
+/// Positions of the entries of φ and Q that a transition stores, without rows of the identity and zeros. All
+/// transitions of a model share one pattern.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Pattern {
     /// Rows of φ that are not rows of the identity, in ascending order of state.
@@ -81,7 +83,8 @@ pub struct Pattern {
 }
 
 impl Pattern {
-    /// Appends row `state` of φ. `terms`: the states of its terms, ascending.
+    /// Appends row `state` of φ. `reachable`: number of noise-reachable states; `terms`: states of the terms,
+    /// ascending.
     pub(crate) fn push(&mut self, state: usize, reachable: usize, terms: impl Iterator<Item = usize>) {
         let start = self.columns.len() as u32;
         self.columns.extend(terms.map(|term| term as u32));
@@ -123,7 +126,7 @@ pub struct Transition {
     pub(crate) q: Vec<f64>,
 }
 
-/// A transition as the kernels read it.
+/// A transition for the kernels: φ and Q of one test, or of tests in lanes.
 #[derive(Debug, Clone, Copy)]
 pub struct TransitionView<'a, E> {
     pub(crate) pattern: &'a Pattern,
@@ -196,20 +199,20 @@ impl Transition {
 /// A run of consecutive equal steps: a transition, then scalar measurements, `count` times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct EqualSteps {
-    /// Number of the transition, see [`Design::transition`]; `None` if no transition leads to the steps.
+    /// Index of the transition, see [`Design::transition`]; `None` if no transition leads to the steps.
     pub(crate) transition: Option<u32>,
     /// End of the lines of one step, which begin where the lines of the previous run end.
     pub(crate) lines: usize,
-    /// Number of steps.
+    /// Number of steps of the run.
     pub(crate) count: usize,
-    /// End of its rows among the rows of the test.
+    /// End of the rows of the run among the rows of the test.
     pub(crate) rows: usize,
-    /// End of its steps among the steps of the test.
+    /// End of the steps of the run among the steps of the test.
     pub(crate) steps: usize,
 }
 
 impl EqualSteps {
-    /// (End of its lines, end of its rows, end of its steps).
+    /// (end of the lines, end of the rows, end of the steps) of the run.
     fn ends(&self) -> (usize, usize, usize) {
         (self.lines, self.rows, self.steps)
     }
@@ -217,8 +220,8 @@ impl EqualSteps {
 
 /// The design of a test; its scalar measurements are whitened.
 ///
-/// A *row* is a scalar measurement of the test. Rows of equal steps share one *line*: their terms and noise are stored
-/// once.
+/// A *row* is a scalar measurement of the test. Rows of equal steps share one *line*, which stores terms and noise once
+/// for all of them.
 #[derive(Debug, Clone)]
 pub struct Design {
     /// The states in kernel order, and A.
@@ -236,11 +239,12 @@ pub struct Design {
     pub(crate) h: Vec<f64>,
     /// R, one variance for each line.
     pub noise: Vec<f64>,
-    /// True if all steps are processed one by one, as in lanes, because most are in no long stretch of equal steps.
+    /// True if all steps are processed one by one, as in lanes, because most steps are in no long stretch of equal
+    /// steps.
     pub(crate) stepwise: bool,
 }
 
-/// A run of equal steps, with its ranges of lines and rows.
+/// A run of equal steps, with the ranges of lines and rows of the run.
 #[derive(Debug, Clone)]
 pub struct Stretch<'a> {
     pub(crate) transition: Option<&'a Arc<Transition>>,
@@ -255,7 +259,7 @@ pub struct Stretch<'a> {
 pub struct DesignStep<'a> {
     /// Transition that leads to the step; `None` if there is none.
     pub transition: Option<&'a Arc<Transition>>,
-    /// Lines of the scalar measurements of the step: their terms h and variances R.
+    /// Lines of the scalar measurements of the step; a line has terms h and a variance R.
     pub lines: Range<usize>,
     /// Rows of the step: row `rows.start + i` has line `lines.start + i`.
     pub rows: Range<usize>,
@@ -279,7 +283,7 @@ impl Design {
         self.moves.first().map(|transition| &transition.pattern)
     }
 
-    /// Number of states that noise reaches or that move in a stretch: the first ones in kernel order.
+    /// Number of states that noise reaches or that move in a stretch: the first states in kernel order.
     pub(crate) fn moving(&self, stretch: &Stretch<'_>) -> usize {
         let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
         self.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
@@ -366,7 +370,7 @@ impl Design {
         self.runs.last().map_or(0, |run| run.steps)
     }
 
-    /// The step with this number.
+    /// Step `k`, counted from 0.
     pub fn step(&self, k: usize) -> DesignStep<'_> {
         // without equal steps, step k is run k
         let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
@@ -383,7 +387,7 @@ impl Design {
         (0..self.runs.len()).map(|at| self.stretch(at))
     }
 
-    /// The run with number `at`, as a stretch.
+    /// Run `at`, counted from 0, as a stretch.
     pub(crate) fn stretch(&self, at: usize) -> Stretch<'_> {
         let run = &self.runs[at];
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
@@ -395,7 +399,7 @@ impl Design {
         self.stretches().flat_map(|stretch| stretch.steps())
     }
 
-    /// Appends a step as a new run; its lines are already appended.
+    /// Appends a step as a new run; the lines of the step are already appended.
     pub(crate) fn push_step(&mut self, transition: Option<&Arc<Transition>>) {
         let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
         let lines = self.ends.len();
@@ -408,16 +412,16 @@ impl Design {
         self.runs.push(EqualSteps { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
     }
 
-    /// True if this is the same object as the last transition.
+    /// True if `transition` and the last transition are one object.
     ///
-    /// A transition made from other coefficients, or over another time, can have equal numbers, but its derivatives
-    /// differ.
+    /// Transitions with different coefficients, or over different times, can have equal entries but different
+    /// derivatives.
     #[inline]
     fn is_last_transition(&self, transition: &Arc<Transition>) -> bool {
         self.moves.last().is_some_and(|last| Arc::ptr_eq(last, transition))
     }
 
-    /// Appends `many` more steps like the last one.
+    /// Appends `many` more steps equal to the last step.
     pub(crate) fn repeat(&mut self, many: usize) {
         let at = self.runs.len() - 1;
         let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
@@ -427,8 +431,8 @@ impl Design {
         run.rows += many * (run.lines - before);
     }
 
-    /// [`Design::push_step`], except that a step equal to the last one, with the same transition object, joins the last
-    /// run.
+    /// [`Design::push_step`], except that a step equal to the last step, with one transition object for both, joins the
+    /// last run.
     #[inline]
     pub(crate) fn join_step(&mut self, transition: Option<&Arc<Transition>>) {
         if self.is_repeated(transition) {
@@ -444,7 +448,7 @@ impl Design {
         }
     }
 
-    /// True if the lines that belong to no run yet, and `transition`, equal those of the last run.
+    /// True if `transition` and the lines that belong to no run yet equal the transition and the lines of the last run.
     #[inline]
     fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
         let Some(at) = self.runs.len().checked_sub(1) else { return false };

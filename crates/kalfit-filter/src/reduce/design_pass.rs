@@ -17,7 +17,8 @@ use crate::reduce::settling::SteadyState;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
 
-/// The design pass in plain covariance and information arithmetic; `None` where that would lose too many digits.
+/// The design pass in plain covariance and information arithmetic; `None` where plain arithmetic would lose too
+/// many digits.
 /// `states`: the model's state at each position in kernel order, given if the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let (p, r) = (design.frame.p, design.frame.r);
@@ -76,8 +77,8 @@ impl GainsWork {
 }
 
 impl GainSchedule {
-    /// A stretch of equal steps: in full until P no longer changes, then for Ψ alone until Ψ no longer changes, then
-    /// all remaining steps at once.
+    /// Filters a stretch of equal steps: in full until P no longer changes, then for Ψ alone until Ψ no longer changes,
+    /// then all remaining steps at once.
     #[inline(always)]
     fn stretch<T: Lanes>(
         &mut self,
@@ -124,7 +125,7 @@ impl GainSchedule {
         self.note(piece, stretch);
     }
 
-    /// A step with P and Ψ.
+    /// Filters one step: predicts and updates P and Ψ.
     #[inline(always)]
     fn step<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
         if let Some(transition) = stretch.transition {
@@ -143,7 +144,7 @@ impl GainSchedule {
         }
     }
 
-    /// A step for Ψ alone, under the gains of the previous step.
+    /// Filters one step with the gains of the previous step: predicts and updates Ψ alone.
     #[inline(always)]
     fn sensitivities<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
         if let Some(transition) = stretch.transition {

@@ -1,5 +1,5 @@
-//! A 128-bit digest of numbers, identical on every machine and release: words go to four hash states in turn, each of
-//! which mixes them in two ways; the final states go through SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012).
+//! A 128-bit digest of numbers, identical on every machine and release: four hash states take the words in turn and
+//! mix each word in two ways; the final states go through SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012).
 
 /// Number of hash states, which take words in turn.
 const STATES: usize = 4;

@@ -1,13 +1,13 @@
-//! The motion of a model at α: its coefficients, and its components of states that depend on each other.
+//! The motion of a model at α: the coefficients, and the components of states that depend on each other.
 
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses, reads_data};
 use kalfit_model::{Motion, Scope};
 
-/// Coefficients in slots: fixed values are stored, the others are evaluated on each step.
+/// Coefficients in slots: fixed values are stored, varying values are evaluated on each step.
 #[derive(Debug, Clone, Default)]
 pub struct Table {
-    /// Value of each slot, 0 where it varies.
+    /// Value of each slot, 0 for a slot that varies.
     pub fixed: Vec<f64>,
     /// (Slot, coefficient, true for a variance) of each slot that varies.
     pub(crate) varying: Vec<(usize, Coefficient, bool)>,
@@ -31,7 +31,7 @@ impl Table {
         Some(slot)
     }
 
-    /// Values of all slots on a row.
+    /// Evaluates all slots on a row, into `values`.
     pub(crate) fn evaluate(
         &self,
         at: &ModelAt<'_>,
@@ -41,7 +41,7 @@ impl Table {
         self.evaluate_some(at, scope, |_| true, values)
     }
 
-    /// Values on a row; 0 for a slot that varies and is not needed.
+    /// Evaluates the needed slots on a row, into `values`; a slot that varies and is not needed is 0.
     pub(crate) fn evaluate_some(
         &self,
         at: &ModelAt<'_>,
@@ -57,13 +57,13 @@ impl Table {
         Ok(())
     }
 
-    /// True if the value of the slot is read from the data.
+    /// True if the value of the slot depends on the data.
     pub(crate) fn reads_data(&self, slot: usize) -> bool {
         self.varying.iter().any(|(s, coefficient, _)| *s == slot && reads_data(coefficient))
     }
 }
 
-/// F and Q, m × m, from (i, j, slot) of their entries.
+/// F and Q, m × m by rows, from (i, j, slot) of each entry.
 pub(crate) fn matrices(
     m: usize,
     [rates, noise]: [&[(usize, usize, usize)]; 2],
@@ -83,7 +83,7 @@ pub(crate) fn matrices(
 /// A set of states of continuous motion that depend on each other. Indices i, j count within the component.
 #[derive(Debug, Clone, Default)]
 pub struct Component {
-    /// Its states, numbered as in the model.
+    /// Indices of the m states in the model, ascending.
     pub states: Vec<usize>,
     /// (i, j, slot): dx_i/dt contains the coefficient times x_j.
     pub(crate) rates: Vec<(usize, usize, usize)>,
@@ -93,7 +93,7 @@ pub struct Component {
     pub(crate) noise: Vec<(usize, usize, usize)>,
     /// Slot of the input of each state, in [`Dynamics::inputs`].
     pub inputs: Vec<Option<usize>>,
-    /// m × m: true where entry (i, j) of exp(Fδ) can differ from that of the identity.
+    /// m × m by rows: true where entry (i, j) of exp(Fδ) can differ from entry (i, j) of the identity.
     pub(crate) closure: Vec<bool>,
 }
 
@@ -101,7 +101,7 @@ pub struct Component {
 #[derive(Debug, Clone)]
 pub struct Recursion {
     pub state: usize,
-    /// (State, slot) of the terms, in ascending order of state.
+    /// (state, slot) of each term, in ascending order of state.
     pub(crate) terms: Vec<(usize, usize)>,
     pub input: Option<usize>,
 }
@@ -115,7 +115,7 @@ pub struct Dynamics {
     pub inputs: Table,
     pub components: Vec<Component>,
     pub recursions: Vec<Recursion>,
-    /// (State, state, slot) of the noise of discrete motion, each pair once.
+    /// (state, state, slot) of each variance and covariance of the noise of discrete motion, each pair once.
     pub(crate) noise: Vec<(usize, usize, usize)>,
     /// Columns that the coefficients read.
     pub(crate) uses: Uses,
@@ -165,7 +165,7 @@ impl Dynamics {
         Ok(dynamics)
     }
 
-    /// States with a known input.
+    /// Indices of the states that a known input reaches within a step.
     pub(crate) fn driven(&self) -> impl Iterator<Item = usize> {
         let recursions = self.recursions.iter().filter(|recursion| recursion.input.is_some()).map(|r| r.state);
         let components = self.components.iter().flat_map(|component| {
@@ -265,8 +265,8 @@ impl Dynamics {
             let input = self.input(at, &derivative.constant, Subject::Derivative(state))?;
             component.inputs.push(input);
         }
-        // The diagonal of the identity is left out: `Component::is_identity_row` needs true dependences only, and `depends` adds
-        // it.
+        // `closure` lacks the diagonal of the identity: `Component::is_identity_row` needs true dependences only, and
+        // `depends` adds the diagonal
         close_transitively(&mut component.closure, m);
         component.states = states;
         Ok(component)

@@ -1,10 +1,10 @@
-//! Numbers as kernels read them: one per lane, or one for all lanes.
+//! Lists of numbers for kernels: each entry is one number per lane, or one number for all lanes.
 
 use kalfit_lanes::{Lanes, Real};
 
 /// A list of numbers.
 pub(crate) trait Entries<R>: Copy {
-    /// Number `k`.
+    /// Entry `k` of the list.
     fn entry(self, k: usize) -> R;
 
     /// The list without its first `count` numbers.
@@ -24,7 +24,7 @@ impl<R: Real> Entries<R> for &[R] {
     }
 }
 
-/// Numbers that are the same in every lane.
+/// A list of numbers that all lanes share.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Common<'a>(pub(crate) &'a [f64]);
 
@@ -40,7 +40,7 @@ impl<R: Real> Entries<R> for Common<'_> {
     }
 }
 
-/// Numbers in lanes: number k of every test, then number k + 1 of every test.
+/// A list of numbers in lanes: entry k of the test in a lane is at k × lanes + lane.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SideBySide<'a>(pub(crate) &'a [f64]);
 

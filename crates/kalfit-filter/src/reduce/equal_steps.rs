@@ -1,4 +1,4 @@
-//! Decides whether so many steps of a test are equal that it is reduced by itself, with scans.
+//! Decides whether so many steps of a test are equal that the test is reduced alone, with scans.
 
 /// Number of equal steps up to which a stretch is not worth a scan.
 pub(crate) const MAX_UNSCANNED_STEPS: usize = 64;
@@ -18,8 +18,8 @@ impl EqualStepCount {
         EqualStepCount { steps, stretch: 0, long: 0 }
     }
 
-    /// Takes the next step; `equal`: it equals the step before. True as soon as most steps of the test are in long
-    /// stretches.
+    /// Takes the next step; `equal`: the step equals the step before. True as soon as most steps of the test are in
+    /// long stretches.
     pub(crate) fn take(&mut self, equal: bool) -> bool {
         self.stretch = if equal { self.stretch + 1 } else { 1 };
         self.long += match self.stretch {

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::reduce::semidefinite::NotSemidefinite;
 use kalfit_model::{Label, Source};
 
-/// The error of a test without a reduction: the test, the row, what was being computed, and what was wrong with it.
+/// The error of a test without a reduction: the test, the row, what was being computed, and the kind of fault.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReduceError {
     /// Id of the test; `None` when the model at α is at fault, whatever the test.
@@ -98,12 +98,12 @@ pub enum ReduceErrorKind {
     /// A covariance is given between noises of continuous and discrete motion.
     #[error("`{continuous}` moves in continuous time and `{discrete}` does not: their noises cannot be correlated")]
     MixedCovariance {
-        /// The state of continuous motion.
+        /// Name of the state of continuous motion.
         continuous: String,
-        /// The state of discrete motion.
+        /// Name of the state of discrete motion.
         discrete: String,
     },
-    /// It is ambiguous which instances of two measurements are correlated.
+    /// Which instances of two correlated measurements belong together is ambiguous.
     #[error("`{first}` and `{second}` are measured several times in different rows of one step")]
     AmbiguousCovariance {
         /// Name of the first measurement.
@@ -111,7 +111,7 @@ pub enum ReduceErrorKind {
         /// Name of the second measurement.
         second: String,
     },
-    /// x_0 lies after the first row.
+    /// The time of x_0 is later than the time of the first row.
     #[error("the initial time {initial} is later than the first row's time {first}")]
     InitialTimeAfterStart {
         /// Time of x_0.
@@ -145,7 +145,7 @@ pub enum ReduceErrorKind {
         /// Mean length of a step.
         step: f64,
     },
-    /// A column that belongs to the test as a whole varies within it.
+    /// A column that must be constant within a test varies within the test.
     #[error("column `{column}` varies within the test: {first} and {second}")]
     Varies {
         /// Name of the column.
@@ -155,7 +155,7 @@ pub enum ReduceErrorKind {
         /// A later cell.
         second: Cell,
     },
-    /// Rows of one step disagree in a column that its transition uses.
+    /// Rows of one step disagree in a column that the transition of the step uses.
     #[error("rows of one step disagree in column `{column}`: {first} and {second}")]
     StepConflict {
         /// Name of the column.
@@ -165,7 +165,7 @@ pub enum ReduceErrorKind {
         /// A later cell.
         second: Cell,
     },
-    /// There is no stationary distribution.
+    /// The motion has no stationary distribution.
     #[error("the motion has no stationary distribution: it is not stable ({})", states.join(", "))]
     Unstable {
         /// Names of the unstable states.
@@ -176,7 +176,7 @@ pub enum ReduceErrorKind {
     StationaryOpen {
         /// The stationary state.
         state: String,
-        /// The state that it depends on.
+        /// Name of the state on which the stationary state depends.
         other: String,
     },
     /// Continuous and discrete stationary states depend on each other.
@@ -204,7 +204,7 @@ pub enum ReduceErrorKind {
         /// Measured value minus the only possible value.
         residual: f64,
     },
-    /// A phase has no filter, but estimates of it are requested.
+    /// Estimates of a phase are requested, but the phase has no filter.
     #[error("it has no filter, so nothing makes estimates of it")]
     NoFilter,
     /// The filter and the model take different measurements of a test.
@@ -217,15 +217,16 @@ pub enum ReduceErrorKind {
         /// Number of measurements of the model.
         expected: usize,
     },
-    /// Estimates contradict their only possible value in a direction in which they are not random.
+    /// Estimates contradict the only possible value in a direction in which estimates are not random.
     #[error("where they are not random, the estimates are off by {residual:.3e}, expected {allowed:.1e} at most")]
     Inconsistent {
-        /// Estimate minus its only possible value; elements that are random are in units of their standard deviations.
+        /// Estimate minus the only possible value; a random element is in units of the standard deviation of the
+        /// element.
         residual: f64,
         /// Largest residual that rounding explains.
         allowed: f64,
     },
-    /// A quantity that is discontinuous in its parameters depends on a free parameter.
+    /// A quantity that is discontinuous in the parameters depends on a free parameter.
     #[error("it depends on the free parameter `{parameter}`, expected parameters that are fixed")]
     FreeParameter {
         /// Name of the parameter.
@@ -270,7 +271,7 @@ impl From<NotSemidefinite> for ReduceErrorKind {
     }
 }
 
-/// An error of a test, or of the model.
+/// The error `kind` of a test, or of the model if `test` is `None`.
 pub(crate) fn refuse(test: Option<&str>, what: &str, kind: impl Into<ReduceErrorKind>) -> ReduceError {
     ReduceError { test: test.map(str::to_owned), row: None, what: what.to_owned(), kind: Box::new(kind.into()) }
 }

@@ -1,8 +1,8 @@
-//! The exact scalar measurements of a design: those that determine h'Ψξ, because nothing random enters them (theory
-//! §13).
+//! The exact scalar measurements of a design: nothing random enters an exact measurement, so that it determines h'Ψξ
+//! (theory §13).
 //!
-//! An exact measurement that is a linear combination of earlier ones adds no information, and its value must be that
-//! combination of their values.
+//! An exact measurement that is a linear combination of earlier exact measurements adds no information, and the value
+//! must be that combination of the earlier values.
 
 use crate::reduce::data::{EXACT_TOLERANCE, Miss};
 use kalfit_model::ExactRows;
@@ -15,9 +15,9 @@ pub(crate) const INSENSITIVE: f64 = 1e-11;
 pub(crate) struct ExactDesign {
     /// C, q × p by rows.
     pub(crate) coefficients: Vec<f64>,
-    /// All exact measurements in their order, including those that add no information.
+    /// All exact measurements in ascending order of `row`, including measurements that add no information.
     measurements: Vec<ExactMeasurement>,
-    /// C after elimination: row i is zero at the pivots of the rows before it.
+    /// C after elimination, q × p by rows: row i is zero at the pivots of rows 0 … i - 1.
     reduced: Vec<f64>,
     pivots: Vec<usize>,
 }
@@ -26,9 +26,9 @@ pub(crate) struct ExactDesign {
 #[derive(Debug, Clone)]
 struct ExactMeasurement {
     row: usize,
-    /// Multiple of each earlier reduced row that is subtracted from its row.
+    /// For each earlier row of `reduced`, the multiple of that row that is subtracted from T of the measurement.
     multipliers: Vec<f64>,
-    /// True if its row is independent of the earlier rows.
+    /// True if T of the measurement is linearly independent of the earlier rows.
     is_independent: bool,
 }
 
@@ -48,18 +48,18 @@ impl ExactDesign {
         self.measurements.binary_search_by_key(&row, |measurement| measurement.row).is_ok()
     }
 
-    /// Numbers of the exact measurements among all scalar measurements.
+    /// Indices of the exact measurements among all scalar measurements.
     pub(crate) fn rows(&self) -> impl Iterator<Item = usize> {
         self.measurements.iter().map(|measurement| measurement.row)
     }
 
-    /// Number of stored numbers.
+    /// Number of stored values, for the estimate of memory.
     pub(crate) fn len(&self) -> usize {
         self.coefficients.len() + self.reduced.len() + self.pivots.len() * self.measurements.len()
     }
 
-    /// Adds exact measurement `row` with sensitivity T; `terms`: sizes of the terms of T. True if it is independent of
-    /// the earlier ones.
+    /// Adds exact measurement `row` with sensitivity T; `terms`: sizes of the terms of T. True if T is linearly
+    /// independent of T of the earlier exact measurements.
     pub(crate) fn take(&mut self, row: usize, sensitivity: &[f64], mut terms: Vec<f64>) -> bool {
         let p = sensitivity.len();
         let (mut remainder, mut multipliers) = (sensitivity.to_vec(), Vec::with_capacity(self.pivots.len()));
@@ -86,7 +86,7 @@ impl ExactDesign {
         pivot.is_some()
     }
 
-    /// C and g of a test, from its innovations at ξ = 0; `sizes`: sizes of the terms of each exact measurement, in
+    /// C and g of a test, from the innovations `e` at ξ = 0; `sizes`: sizes of the terms of each exact measurement, in
     /// order.
     pub(crate) fn rows_from_innovations(&self, e: &[f64], sizes: &[f64]) -> Result<ExactRows, Miss> {
         let (mut values, mut reduced) = (Vec::new(), Vec::<(f64, f64)>::new());

@@ -1,4 +1,5 @@
-//! Replicates → reductions: one replicate is evaluated, and the data of all replicates pass in lanes under its gains.
+//! Replicates → reductions: one replicate is evaluated and gives the gains for the data passes of all replicates, which
+//! run in lanes.
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
@@ -10,11 +11,11 @@ use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
 use kalfit_model::Test;
 
-/// Most scalar measurements of a test that is reduced in this way: its values and innovations are in memory for every
-/// lane.
+/// Largest number of scalar measurements of a test that is reduced in lanes: values and innovations are in memory for
+/// every lane.
 const MAX_ROWS_IN_LANES: usize = 1 << 22;
 
-/// Number of rows, of all replicates of a set, up to which several threads are not worthwhile.
+/// Total number of rows of a set of replicates up to which one thread reduces the set.
 const MAX_SERIAL_ROWS: usize = 1 << 15;
 
 /// What all replicates of a test share.
@@ -23,14 +24,14 @@ struct DesignExemplar {
     class: DesignClass,
     digest: u128,
     steps: usize,
-    /// (Cell, d) of each scalar measurement.
+    /// (index of the cell among all numbers of the test, d) of each scalar measurement.
     cells: Vec<(usize, f64)>,
     start: Vec<f64>,
     inputs: Vec<f64>,
 }
 
 impl Reducer {
-    /// Reduces a set of replicates, given by their numbers.
+    /// Reduces a set of replicates. `set`: indices of the replicates in `tests`.
     pub(super) fn reduce_replicates(
         &self,
         (tests, set): (&[&Test], &[usize]),
@@ -66,7 +67,7 @@ impl Reducer {
 }
 
 impl DesignExemplar {
-    /// The exemplar of a test; `None` if its replicates must be reduced one by one.
+    /// The exemplar of a test; `None` if the replicates of the test must be reduced one by one.
     fn of(reducer: &Reducer, test: &Test, work: &mut Workspace) -> Option<DesignExemplar> {
         reducer.preparer().prepare(test, work).ok()?;
         if !(1..=MAX_ROWS_IN_LANES).contains(&work.design.rows()) {
@@ -85,7 +86,8 @@ impl DesignExemplar {
         })
     }
 
-    /// Reduces replicates of its test. Returns the numbers of those that must be reduced by themselves.
+    /// Reduces the replicates with indices `numbers`. Returns the indices of the replicates that must be reduced one by
+    /// one.
     fn reduce(
         &self,
         reducer: &Reducer,

@@ -1,4 +1,5 @@
-//! Floating-point operations of the filter's passes; those of the design pass are counted in a run of its kernels.
+//! Floating-point operations of the design pass and the data pass. A run of the kernels counts the operations of the
+//! design pass.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G, K, T")]
 
 use crate::reduce::design::{DENSE, Pattern, StateFrame, TransitionView};
@@ -6,8 +7,8 @@ use crate::reduce::kernel::{FilterState, advance, measure, predict};
 use crate::reduce::sums::InformationSums;
 use kalfit_lanes::{Counted, Flops};
 
-/// Floating-point operations of (the design pass, the data pass) for a test with n states, r of them noisy, p uncertain
-/// and the others constant, if every row measures all states.
+/// Floating-point operations of (the design pass, the data pass) for a test with n states, of which r are noisy
+/// and n - r constant, and p uncertain initial values, if every row measures all states.
 pub fn reduction_flops(n: usize, r: usize, p: usize, rows: usize) -> (u64, u64) {
     let design = design_pass(n, r, p, rows);
     // operations per row: φx̂, z - h'x̂, x̂ + Ke, y + T'S⁻¹e, e'S⁻¹e
@@ -15,8 +16,8 @@ pub fn reduction_flops(n: usize, r: usize, p: usize, rows: usize) -> (u64, u64) 
     (design.add + design.mul + 2 * design.fma + design.div, data as u64)
 }
 
-/// Operations of a design pass: n states, the first r of them noisy and coupled, p uncertain; every step measures the
-/// sum of all states.
+/// Operations of a design pass over n states, of which the first r are noisy and coupled and the last p uncertain;
+/// every step measures the sum of all states.
 fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let sensitivity = (0..n * p).map(|at| if at / p == at % p + n - p { 1.0 } else { 0.0 }).collect();
     let rows = (0..n).map(|i| if i < r { DENSE } else { (i + p - n) as u32 }).collect();

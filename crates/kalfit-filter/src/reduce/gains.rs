@@ -14,11 +14,13 @@ pub struct Gains {
     pub(crate) r: usize,
     /// p, length of T.
     pub(crate) p: usize,
-    /// 1/S and K (r numbers) of scalar measurements; 1/S = 0 where S = 0. Equal ones are stored once.
+    /// (1/S, K) of scalar measurements, 1 + r numbers each; 1/S = 0 where S = 0. Equal gains of equal steps are stored
+    /// once.
     pub(crate) gains: Vec<f64>,
-    /// T (p numbers) of scalar measurements; equal ones are stored once.
+    /// T of scalar measurements, p numbers each. Equal T of equal steps are stored once.
     pub(crate) sensitivities: Vec<f64>,
-    /// Which rows `gains` and `sensitivities` belong to, in order of rows; at least one piece.
+    /// Spans of rows, with the places of (1/S, K) in `gains` and of T in `sensitivities`; in order of rows, at least
+    /// one span.
     pub(crate) pieces: Vec<GainSpan>,
     /// R with J = R'R, packed by columns.
     pub(crate) factor: Vec<f64>,
@@ -28,14 +30,14 @@ pub struct Gains {
     pub(crate) active: usize,
     /// Rotations to apply to the data, if square-root arrays made the gains.
     pub(crate) rotations: Option<FactorRotations>,
-    /// The last state, if it was wanted.
+    /// Ψ_K and a root of P_K of the last state; `None` if no last state is wanted.
     pub(crate) end: Option<Arc<TerminalRoot>>,
     /// P and Ψ before equal steps, in order of rows, if a backward pass needs them.
     pub(crate) paths: Vec<MomentPath>,
 }
 
-/// Rows of equal steps and where their gains and sensitivities are stored: those of the first steps one by one, and the
-/// last stored step stands for all that follow.
+/// Rows of equal steps, and the places of the gains and sensitivities of these rows. The first steps are stored one by
+/// one; all following steps have the values of the last stored step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GainSpan {
     /// The first row.
@@ -68,20 +70,20 @@ impl GainSpan {
         (self.row + self.gain_steps).saturating_sub(row)
     }
 
-    /// Number of steps until S, K and T no longer change.
+    /// Number of steps from the first row on until S, K and T no longer change.
     pub(crate) fn moving(&self) -> usize {
         self.gain_steps.max(self.sensitivity_steps)
     }
 }
 
-/// The rotations that folded [T | ·]/√S into R; the data are folded by them too.
+/// The rotations that folded [T | ·]/√S into R; the same rotations fold the data.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FactorRotations {
     /// (c, s) of the rotation with each row of R, p for each scalar measurement.
     pub(crate) row_rotations: Vec<(f64, f64)>,
     /// The operations that rounded small diagonals of R to zero, in order.
     pub(crate) settle: Vec<RankOperation>,
-    /// The exact measurements, which are not in R.
+    /// The exact measurements, whose T are not folded into R.
     pub(crate) exact: ExactDesign,
 }
 
@@ -115,7 +117,7 @@ impl Gains {
         self.of(&self.pieces[self.piece(row)], row)
     }
 
-    /// Number of the piece that contains a row.
+    /// Index of the piece that contains a row.
     #[inline]
     pub(crate) fn piece(&self, row: usize) -> usize {
         if self.pieces.len() == 1 { 0 } else { self.pieces.partition_point(|piece| piece.row <= row) - 1 }
@@ -144,7 +146,7 @@ impl Gains {
         &self.sensitivities[sensitivity * self.p..][..self.p]
     }
 
-    /// P and Ψ before the steps of the stretch that begins at `row`, if they were stored.
+    /// P and Ψ before the steps of the stretch that begins at `row`; `None` if they were not stored.
     pub(crate) fn path(&self, row: usize) -> Option<&MomentPath> {
         MomentPath::of(&self.paths, row)
     }

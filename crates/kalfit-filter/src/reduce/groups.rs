@@ -1,4 +1,4 @@
-//! The groups of tests, from their rows.
+//! The groups of each test, from the rows of the test.
 
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{GroupLevel, PhasedModel};
@@ -15,7 +15,7 @@ pub enum GroupingError {
         /// Id of the test.
         test: String,
     },
-    /// A test has no name of its group at some level.
+    /// The rows of a test lack the name of a group at some level.
     #[error("test `{test}` has no name of its group of level `{level}`")]
     NoName {
         /// Id of the test.

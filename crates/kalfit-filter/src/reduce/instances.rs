@@ -8,7 +8,7 @@ pub struct Instance {
     pub row: usize,
 }
 
-/// All scalar measurements of a test, in the order of the design. Those of repeated steps are stored once.
+/// All scalar measurements of a test, in the order of the design. Measurements of repeated steps are stored once.
 #[derive(Debug, Clone, Default)]
 pub struct Instances {
     blocks: Vec<RepeatedEntries>,
@@ -24,7 +24,7 @@ pub struct Instances {
 #[derive(Debug, Clone, Copy)]
 struct RepeatedEntries {
     first: usize,
-    /// Its first entry; it ends where the next block begins.
+    /// Index of the first entry of the block, which ends at the first entry of the next block.
     entry: usize,
     count: usize,
     height: usize,
@@ -80,7 +80,7 @@ impl Instances {
         self.len += many * width;
     }
 
-    /// The scalar measurement with this number.
+    /// Scalar measurement `row`, in the order of the design.
     pub fn get(&self, row: usize) -> Instance {
         let at = self.blocks.partition_point(|block| block.first <= row) - 1;
         let block = self.blocks[at];

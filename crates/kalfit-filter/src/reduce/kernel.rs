@@ -39,7 +39,8 @@ pub(crate) fn advance<R: Real, E: Entries<R>>(
     }
 }
 
-/// e = z - h'x, summed from the last state to the first: the first states move, so their values are ready last.
+/// e = z - h'x, summed from the last state to the first: the first states move, so that their new values are
+/// ready last.
 #[inline(always)]
 pub(crate) fn innovation<R: Real, E: Entries<R>>(x: &[R], (states, h): (&[u32], E), z: R) -> R {
     let mut e = z;
@@ -165,9 +166,9 @@ pub(crate) fn sensitivity<R: Real, E: Entries<R>>(
     }
 }
 
-/// Least ratio of S to R + Σ h_j² P_jj, and least ratio of the variance of one of several states after an update to
-/// that before, in plain covariance arithmetic. Losses of several updates add up: with a limit of 1e-6, four of 5 500
-/// hard random tests are off by 1e-9 to 1e-6; with 1e-5 none is.
+/// Least ratio of S to R + Σ h_j² P_jj, and least ratio of the variance of one of several states after an update to the
+/// variance before the update, in plain covariance arithmetic. Losses of several updates add up: with a limit of 1e-6,
+/// four of 5 500 hard random tests are off by 1e-9 to 1e-6; with 1e-5 none is.
 const MIN_REMAINING: f64 = 1e-5;
 
 /// The results of a scalar update.
@@ -233,9 +234,10 @@ pub(crate) fn measure<R: Real, E: Entries<R>>(
     update
 }
 
-/// P ← (I-Kh')P(I-hK') + KRK', with S, G and K computed from this P: first P - KG', then a correction that turns its
-/// rounding errors E into (I-Kh')E(I-hK'). For a single state this is P R/S, which loses no digit, whatever the noise.
-/// The result is below zero if less than [`MIN_REMAINING`] of a variance remains. `reached`: noise-reachable states of h.
+/// P ← (I-Kh')P(I-hK') + KRK', with S, G and K computed from this P: first P - KG', then a correction that turns the
+/// rounding errors E of P - KG' into (I-Kh')E(I-hK'). A single state has P ← P R/S, which loses no digit, whatever the
+/// noise. The result is below zero if less than [`MIN_REMAINING`] of a variance remains. `reached`: noise-reachable
+/// states of h.
 #[inline(always)]
 fn joseph<R: Real, E: Entries<R>>(
     r: usize,

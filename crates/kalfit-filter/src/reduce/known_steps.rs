@@ -1,4 +1,4 @@
-//! Steps of long records, determined once for all values of α, since they depend on times alone.
+//! Steps of long records, determined once for all values of α, since steps depend on times alone.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,7 +8,7 @@ use kalfit_model::{Test, TestId};
 
 /// Number of rows from which a record counts as long.
 const MIN_LONG_ROWS: usize = 1 << 10;
-/// Least mean number of rows per span: with fewer, the list of spans is nearly as long as the record.
+/// Least mean number of rows per span: with fewer rows, the list of spans is nearly as long as the record.
 const MIN_ROWS_PER_SPAN: usize = 16;
 
 /// The steps of the long records of one ensemble, whose tests have different ids.
@@ -24,7 +24,7 @@ struct KnownSpans {
 }
 
 impl KnownSteps {
-    /// The steps of a test, if they are known.
+    /// The steps of a test with the time `initial` of x_0; `None` if the steps are not known.
     pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
         if test.rows() < MIN_LONG_ROWS {
             return None;
@@ -34,7 +34,7 @@ impl KnownSteps {
         (known.rows == test.rows() && known.initial == initial.map(f64::to_bits)).then(|| known.spans.clone())
     }
 
-    /// Stores the steps of a test, if it is long and has few spans.
+    /// Stores the steps of a test, if the test is long and has few spans.
     pub(crate) fn keep(&self, test: &Test, initial: Option<f64>, spans: &[StepSpan]) {
         if test.rows() >= MIN_LONG_ROWS && MIN_ROWS_PER_SPAN * spans.len() <= test.rows() {
             let initial = initial.map(f64::to_bits);

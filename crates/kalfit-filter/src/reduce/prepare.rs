@@ -383,7 +383,8 @@ impl Preparer {
         }
         let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
-        let is_repeated = self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
+        let is_repeated =
+            self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
         if is_repeated {
             work.design.repeat(1);
         } else {

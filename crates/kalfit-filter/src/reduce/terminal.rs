@@ -42,7 +42,8 @@ impl TerminalRoot {
         let (n, p) = (states.len(), Psi.len() / states.len().max(1));
         let is_nonzero = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
         let nonzero_rows = || (0..r).filter(is_nonzero).enumerate();
-        let mut end = TerminalRoot { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, nonzero_rows().count()) };
+        let mut end =
+            TerminalRoot { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, nonzero_rows().count()) };
         for (place, &state) in states.iter().enumerate() {
             for c in 0..p {
                 end.sensitivity[(state, c)] = Psi[place * p + c];

@@ -264,7 +264,9 @@ impl RangeInverse {
         }
         let scale: Vec<f64> = noisy_states.iter().map(|&i| old[(i, i)].sqrt().recip()).collect();
         let scaled = |q: &DMatrix<f64>| {
-            DMatrix::from_fn(noisy_states.len(), noisy_states.len(), |i, j| scale[i] * q[(noisy_states[i], noisy_states[j])] * scale[j])
+            DMatrix::from_fn(noisy_states.len(), noisy_states.len(), |i, j| {
+                scale[i] * q[(noisy_states[i], noisy_states[j])] * scale[j]
+            })
         };
         let range = |values: &[f64]| {
             let most = values.iter().copied().fold(0.0, f64::max);

@@ -154,7 +154,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         }
     }
 
-    /// The best point with the value held at `held_value`: by a search from nearby, from other ends where the maximum is too
+    /// The best point with the value held at `tried`: by a search from nearby, from other ends where the maximum is too
     /// low, and around the maximum where ζ is close to the quantile.
     fn highest(&self, near: &Branch, held_value: f64) -> Option<Branch> {
         let from = |values: &[f64]| self.held_from(&near.iterate, values, held_value);
@@ -177,7 +177,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         Some(Branch { iterate, others, is_new })
     }
 
-    /// The end of a search with the value held at `held_value`, from a start at `values`.
+    /// The end of a search with the value held at `tried`, from a start at `values`.
     fn held_from(&self, near: &ProfilePoint, values: &[f64], held_value: f64) -> Option<SearchEnd> {
         let mut values = values.to_vec();
         values[self.slot] = held_value;

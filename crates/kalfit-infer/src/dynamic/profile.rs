@@ -40,7 +40,8 @@ pub(crate) fn profiles(
         estimate.criterion == Criterion::Ml || !matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_))
     };
     let intervals = &mut inference.intervals;
-    let requested = |what: &&Holdable| has_profile(what) && (wanted.contains(what) || intervals.ends.of(**what).is_some());
+    let requested =
+        |what: &&Holdable| has_profile(what) && (wanted.contains(what) || intervals.ends.of(**what).is_some());
     let requested: Vec<Holdable> = all.iter().filter(requested).copied().collect();
     wanted.truncate(if fit.values.len() <= MOST_VALUES { MOST_PROFILED } else { 0 });
     intervals.kind = IntervalKind::Profile;

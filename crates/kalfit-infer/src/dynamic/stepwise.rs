@@ -102,7 +102,13 @@ impl RecordPoint {
             let (design, data, own) = phase.reducer.evaluated(rows, room).map_err(|error| phase.named(error))?;
             covariates.extend(own);
             let covariances = room.covariances.clone().unwrap_or_default();
-            sections.push(Section { entry: MotionValues::zero_motion((0, 0)), design, data, covariances, group_states });
+            sections.push(Section {
+                entry: MotionValues::zero_motion((0, 0)),
+                design,
+                data,
+                covariances,
+                group_states,
+            });
         }
         let mean = self.law.mean_of(&covariates);
         let (mut first, mut before) = (0, last.map_or(0, |(_, states)| states));

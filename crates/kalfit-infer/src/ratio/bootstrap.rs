@@ -144,7 +144,8 @@ pub(super) fn select_covariates(reductions: &Reductions, regression_indices: &[u
 fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let from_truth = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
-    from_truth.filter(|e| e.stop == Stop::Certified)
+    from_truth
+        .filter(|e| e.stop == Stop::Certified)
         .or_else(|| fit(reductions, &structure, settings, &mut Silent).ok().filter(|e| e.stop == Stop::Certified))
 }
 

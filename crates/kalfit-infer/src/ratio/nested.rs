@@ -95,8 +95,12 @@ fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), N
         DMatrix::from_fn(m.nrows(), m.ncols(), |k, c| m[(k, c)] / units[k])
     };
     let (inner_directions, outer_directions) = (scaled(inner_directions), scaled(outer_directions));
-    let outside =
-        &inner_directions - &outer_directions * symmetric::pseudo_inverse(&(outer_directions.transpose() * &outer_directions)) * outer_directions.transpose() * &inner_directions;
-    let worst = (0..inner_directions.ncols()).map(|c| outside.column(c).norm() / inner_directions.column(c).norm().max(f64::MIN_POSITIVE));
+    let outside = &inner_directions
+        - &outer_directions
+            * symmetric::pseudo_inverse(&(outer_directions.transpose() * &outer_directions))
+            * outer_directions.transpose()
+            * &inner_directions;
+    let worst = (0..inner_directions.ncols())
+        .map(|c| outside.column(c).norm() / inner_directions.column(c).norm().max(f64::MIN_POSITIVE));
     if worst.fold(0.0, f64::max) > 1e-6 { Err(NotNested::Covariance) } else { Ok(()) }
 }

@@ -49,7 +49,7 @@ pub(super) fn nonnegative(
 
 /// The square of the expression of a formula for a standard deviation.
 pub(super) fn squared(names: &mut Names, formula: &Formula, place: &str) -> Result<Expression, BuildError> {
-    nonnegative(names, formula, Role::Spread, place).map(|deviation| multiply(deviation.clone(), deviation))
+    nonnegative(names, formula, Role::NonNegative, place).map(|deviation| multiply(deviation.clone(), deviation))
 }
 
 impl Role {
@@ -57,7 +57,7 @@ impl Role {
     pub(super) fn check(self, found: f64, what: &str) -> Result<(), BuildError> {
         let expected = match self {
             Role::TimeConstant if found <= 0.0 => "more than 0",
-            Role::Spread if found < 0.0 => "0 or more",
+            Role::NonNegative if found < 0.0 => "0 or more",
             _ if !found.is_finite() => "a finite number",
             _ => return Ok(()),
         };

@@ -72,7 +72,7 @@ impl MeasurementBuilder {
             equation: linear(names, &self.equation, &of("equation"))?,
             noise_variance: match &self.noise {
                 Noise::StdDev(deviation) => squared(names, deviation, &of("noise"))?,
-                Noise::Variance(variance) => nonnegative(names, variance, Role::Spread, &of("variance"))?,
+                Noise::Variance(variance) => nonnegative(names, variance, Role::NonNegative, &of("variance"))?,
             },
         })
     }

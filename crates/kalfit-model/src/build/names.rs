@@ -11,7 +11,7 @@ pub(super) enum Role {
     /// A coefficient: any number.
     Coefficient,
     /// A noise variance or a standard deviation: not negative.
-    Spread,
+    NonNegative,
     /// A time constant: positive.
     TimeConstant,
 }
@@ -20,7 +20,7 @@ impl From<crate::model::Role> for Role {
     fn from(role: crate::model::Role) -> Role {
         use crate::model::Role as ModelRole;
         match role {
-            ModelRole::Scale { .. } => Role::Spread,
+            ModelRole::Scale { .. } => Role::NonNegative,
             ModelRole::TimeConstant => Role::TimeConstant,
             ModelRole::Other => Role::Unused, // the weakest role, which changes no role
         }

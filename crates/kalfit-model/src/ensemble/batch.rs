@@ -77,12 +77,12 @@ impl TestBatch {
 
     /// The tests of the batch.
     pub fn finish(mut self) -> Vec<Test> {
-        self.records.fit();
-        let (all, rows) = (Arc::new(self.ids.into_boxed_str()), self.records.rows());
+        self.records.shrink();
+        let (all_ids, rows) = (Arc::new(self.ids.into_boxed_str()), self.records.rows());
         let records = Arc::new(self.records);
-        let ends = self.starts.iter().skip(1).copied().chain([(all.len(), rows)]);
+        let ends = self.starts.iter().skip(1).copied().chain([(all_ids.len(), rows)]);
         let test = |(&(id, row), (id_end, end)): (&(usize, usize), (usize, usize))| {
-            Test::part(TestId::part(&all, id..id_end), &records, row..end)
+            Test::part(TestId::part(&all_ids, id..id_end), &records, row..end)
         };
         self.starts.iter().zip(ends).map(test).collect()
     }

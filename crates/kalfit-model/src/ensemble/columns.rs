@@ -32,7 +32,7 @@ impl Texts {
         self.ends.extend(others.ends.iter().map(|end| end + shift));
     }
 
-    /// Reserves room for all texts of `others`.
+    /// Reserves memory for all texts of `others`.
     pub fn reserve<'a>(&mut self, others: impl Iterator<Item = &'a Texts>) {
         let (bytes, texts) = others.fold((0, 0), |sum, one| (sum.0 + one.all.len(), sum.1 + one.len()));
         self.all.reserve_exact(bytes);
@@ -82,10 +82,10 @@ impl<T> SparseColumn<T> {
         self.0[number] = one;
     }
 
-    /// Appends the values of `others`, whose test k becomes test `own` + k.
-    pub fn append(&mut self, own: usize, others: SparseColumn<T>) {
+    /// Appends the values of `others` after the values of the present tests, whose number is given.
+    pub fn append(&mut self, tests_before: usize, others: SparseColumn<T>) {
         if !others.0.is_empty() {
-            self.0.resize_with(own, || None);
+            self.0.resize_with(tests_before, || None);
             self.0.extend(others.0);
         }
     }

@@ -18,17 +18,17 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct TestId {
     /// Text with all ids, behind a thin pointer because an ensemble has many ids.
-    all: Arc<Box<str>>,
+    ids: Arc<Box<str>>,
     start: u32,
     end: u32,
 }
 
 impl TestId {
     /// The id at bytes `place` of a text with many ids.
-    pub(super) fn part(all: &Arc<Box<str>>, place: Range<usize>) -> TestId {
+    pub(super) fn part(ids: &Arc<Box<str>>, place: Range<usize>) -> TestId {
         match (u32::try_from(place.start), u32::try_from(place.end)) {
-            (Ok(start), Ok(end)) => TestId { all: all.clone(), start, end },
-            _ => TestId::from(&all[place]),
+            (Ok(start), Ok(end)) => TestId { ids: ids.clone(), start, end },
+            _ => TestId::from(&ids[place]),
         }
     }
 }
@@ -44,7 +44,7 @@ impl Deref for TestId {
     type Target = str;
 
     fn deref(&self) -> &str {
-        &self.all[self.start as usize..self.end as usize]
+        &self.ids[self.start as usize..self.end as usize]
     }
 }
 
@@ -65,7 +65,7 @@ impl From<&str> for TestId {
     /// If the text has 4 GB or more.
     fn from(text: &str) -> TestId {
         let end = u32::try_from(text.len()).expect("the id of a test has fewer than 2^32 bytes");
-        TestId { all: Arc::new(text.into()), start: 0, end }
+        TestId { ids: Arc::new(text.into()), start: 0, end }
     }
 }
 

@@ -66,17 +66,17 @@ impl RowStore {
     pub(super) fn push_from(&mut self, others: &RowStore, rows: Range<usize>) {
         let mut start = rows.start;
         while start < rows.end {
-            let end = others.follow(start).min(rows.end);
+            let end = others.run_end(start).min(rows.end);
             self.push(end - start, others.numbers(start..end), others.texts(start..end), others.source(start));
             start = end;
         }
     }
 
     /// Frees unused memory of each list, if more than an eighth of the used memory is unused.
-    pub(super) fn fit(&mut self) {
-        fit(&mut self.numbers);
-        fit(&mut self.texts);
-        fit(&mut self.sources);
+    pub(super) fn shrink(&mut self) {
+        shrink(&mut self.numbers);
+        shrink(&mut self.texts);
+        shrink(&mut self.sources);
     }
 
     /// File and line of a row.
@@ -87,7 +87,7 @@ impl RowStore {
     }
 
     /// End of the run of rows that contains this row and follows the order of the file.
-    fn follow(&self, row: usize) -> usize {
+    fn run_end(&self, row: usize) -> usize {
         let next = self.sources.partition_point(|(first, _)| *first <= row);
         self.sources.get(next).map_or(self.rows, |(first, _)| *first)
     }
@@ -100,7 +100,7 @@ impl RowStore {
 }
 
 /// Frees the unused memory of a list, if more than an eighth of the used memory is unused.
-fn fit<T>(list: &mut Vec<T>) {
+fn shrink<T>(list: &mut Vec<T>) {
     if list.capacity() - list.len() > list.len() / 8 {
         list.shrink_to_fit();
     }

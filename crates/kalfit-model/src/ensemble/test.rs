@@ -63,8 +63,8 @@ impl Test {
             (self.records, self.first, self.rows) = (other.records.clone(), other.first + rows.start, rows.len());
             return;
         }
-        let (unshared_records, from) = (self.unshared_records(), other.first);
-        unshared_records.push_from(&other.records, from + rows.start..from + rows.end);
+        let (unshared_records, other_first) = (self.unshared_records(), other.first);
+        unshared_records.push_from(&other.records, other_first + rows.start..other_first + rows.end);
         self.rows += rows.len();
     }
 
@@ -77,8 +77,8 @@ impl Test {
     /// rows of another test.
     fn unshared_records(&mut self) -> &mut RowStore {
         let (first, rows) = (self.first, self.rows);
-        let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
-        if !alone {
+        let is_unshared = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
+        if !is_unshared {
             let (columns, text_columns) = self.records.widths();
             let mut unshared_records = RowStore::new(columns, text_columns);
             unshared_records.push_from(&self.records, first..first + rows);

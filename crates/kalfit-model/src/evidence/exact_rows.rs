@@ -32,8 +32,8 @@ impl ExactRows {
         let mut rows: Vec<Vec<f64>> = self.rows(p).map(|(row, value)| [row, &[value]].concat()).collect();
         let mut pivots: Vec<usize> = Vec::with_capacity(rows.len());
         for i in 0..rows.len() {
-            let free = (0..p).filter(|k| !pivots.contains(k)).rev();
-            let Some(pivot) = free.max_by(|a, b| rows[i][*a].abs().total_cmp(&rows[i][*b].abs())) else { break };
+            let candidates = (0..p).filter(|k| !pivots.contains(k)).rev();
+            let Some(pivot) = candidates.max_by(|a, b| rows[i][*a].abs().total_cmp(&rows[i][*b].abs())) else { break };
             let scale = rows[i][pivot].recip();
             rows[i].iter_mut().for_each(|x| *x *= scale);
             let own = rows[i].clone();
@@ -74,13 +74,13 @@ impl FreeStates {
         let scaled = DMatrix::from_fn(left.nrows(), left.ncols(), |i, k| left[(i, k)] / size(k));
         let observed = symmetric::range(&(scaled.transpose() * &scaled), |value| value >= FreeStates::MIN_INFORMATION);
         let directions = &scaled * &observed;
-        let rest = &data
+        let residual = &data
             - &directions
                 * (directions.transpose() * &directions).cholesky().map_or_else(
                     || DVector::zeros(observed.ncols()),
                     |own| own.solve(&(directions.transpose() * &data)),
                 );
-        (observed.ncols(), rest.norm_squared())
+        (observed.ncols(), residual.norm_squared())
     }
 }
 

@@ -111,7 +111,7 @@ impl Estimates {
             return Err([negative, variances.max()]);
         }
         let scale = variances.map(f64::sqrt);
-        let unit = |i: usize, j: usize| {
+        let correlation = |i: usize, j: usize| {
             let (element, of) = (covariance[(i, j)], scale[i] * scale[j]);
             // An element of variance zero has no covariances; a nonzero covariance here makes an eigenvalue negative.
             if of > 0.0 {
@@ -121,13 +121,13 @@ impl Estimates {
             }
         };
         let size = scale.len();
-        let (values, vectors) = eigen(&DMatrix::from_fn(size, size, unit));
+        let (values, vectors) = eigen(&DMatrix::from_fn(size, size, correlation));
         let (least, largest) = (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0));
         if least < -1e3 * rounding * largest {
             return Err([least, largest]);
         }
-        let kept: Vec<usize> = (0..size).filter(|&k| values[k] > rounding * largest).collect();
-        Ok(DMatrix::from_fn(size, kept.len(), |i, k| scale[i] * vectors[(i, kept[k])] * values[kept[k]].sqrt()))
+        let significant: Vec<usize> = (0..size).filter(|&k| values[k] > rounding * largest).collect();
+        Ok(DMatrix::from_fn(size, significant.len(), |i, k| scale[i] * vectors[(i, significant[k])] * values[significant[k]].sqrt()))
     }
 }
 

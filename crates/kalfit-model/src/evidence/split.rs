@@ -149,7 +149,7 @@ impl PhasedModel {
         Ok(runs)
     }
 
-    /// The index of the phase of a row.
+    /// Index of the phase of a row.
     fn phase_of(&self, test: &Test, row: usize, column: usize, labels: &Labels) -> Result<usize, SplitError> {
         let cell = test.texts(row)[column];
         let of = |label: usize| Label::literal(label) == cell;

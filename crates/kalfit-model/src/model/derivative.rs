@@ -26,7 +26,7 @@ impl Tape {
     }
 
     /// Index of the node of the expression before the expression of node `at`.
-    fn before(&self, at: usize) -> usize {
+    fn node_before(&self, at: usize) -> usize {
         self.0[at].start - 1
     }
 }
@@ -74,7 +74,7 @@ impl Expression {
                 tape.push(start, truth)?;
                 if truth != 0.0 { a.evaluate_on_tape(scope, tape)? } else { b.evaluate_on_tape(scope, tape)? }
             }
-            flat => flat.evaluate(scope)?,
+            leaf => leaf.evaluate(scope)?,
         };
         tape.push(start, value)
     }
@@ -89,10 +89,10 @@ impl Expression {
             Expression::Negate(a) => a.propagate_back(-seed, at - 1, tape, sink),
             Expression::Binary(operator, a, b) if operator.is_arithmetic() => {
                 let second = at - 1;
-                let first = tape.before(second);
+                let first = tape.node_before(second);
                 let (to_a, to_b) = operator.slopes(tape.value(first), tape.value(second), tape.value(at));
-                a.propagate_back(chain(seed, to_a), first, tape, sink);
-                b.propagate_back(chain(seed, to_b), second, tape, sink);
+                a.propagate_back(seed_times(seed, to_a), first, tape, sink);
+                b.propagate_back(seed_times(seed, to_b), second, tape, sink);
             }
             Expression::Call(function, arguments) if function.chooses() => {
                 let (mut node, mut chosen) = (at - 1, None);
@@ -101,7 +101,7 @@ impl Expression {
                         chosen = Some((argument, node));
                     }
                     if k > 0 {
-                        node = tape.before(node);
+                        node = tape.node_before(node);
                     }
                 }
                 if let Some((argument, node)) = chosen {
@@ -109,12 +109,12 @@ impl Expression {
                 }
             }
             Expression::Call(function, arguments) => {
-                let node = (1..arguments.len()).fold(at - 1, |node, _| tape.before(node));
+                let node = (1..arguments.len()).fold(at - 1, |node, _| tape.node_before(node));
                 let slope = function.slope(tape.value(node), tape.value(at));
-                arguments[0].propagate_back(chain(seed, slope), node, tape, sink);
+                arguments[0].propagate_back(seed_times(seed, slope), node, tape, sink);
             }
             Expression::If(_, a, b) => {
-                let taken = if tape.value(tape.before(at - 1)) != 0.0 { a } else { b };
+                let taken = if tape.value(tape.node_before(at - 1)) != 0.0 { a } else { b };
                 taken.propagate_back(seed, at - 1, tape, sink);
             }
             _ => {}
@@ -123,7 +123,7 @@ impl Expression {
 }
 
 /// seed × slope; exactly 0 where the slope is 0, even with an infinite seed.
-fn chain(seed: f64, slope: f64) -> f64 {
+fn seed_times(seed: f64, slope: f64) -> f64 {
     if slope == 0.0 { 0.0 } else { seed * slope }
 }
 

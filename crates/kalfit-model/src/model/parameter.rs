@@ -78,18 +78,18 @@ impl Alpha {
     /// α with other, nonzero values of the free parameters: a function that is zero at both α hardly depends on the
     /// free parameters.
     pub fn at_other_values(&self, free: &[bool]) -> Alpha {
-        let moved = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
-        let of = |(level, free): (&Level, bool)| match level {
+        let other_value = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
+        let changed = |(level, free): (&Level, bool)| match level {
             level if !free => level.clone(),
-            Level::Common(value) => Level::Common(moved(*value)),
+            Level::Common(value) => Level::Common(other_value(*value)),
             Level::Each { column, values, other } => Level::Each {
                 column: *column,
-                values: values.iter().map(|(label, value)| (*label, moved(*value))).collect(),
-                other: other.map(moved),
+                values: values.iter().map(|(label, value)| (*label, other_value(*value))).collect(),
+                other: other.map(other_value),
             },
         };
         let free = free.iter().copied().chain(std::iter::repeat(false));
-        Alpha { values: self.values.iter().zip(free).map(of).collect() }
+        Alpha { values: self.values.iter().zip(free).map(changed).collect() }
     }
 
     /// The α of a model whose parameters all have values. A parameter with levels needs a value at one level only;

@@ -119,9 +119,9 @@ impl PhasedModel {
     /// Names of the elements of all blocks of Σ: the estimated states, then, as `level.state`, the estimated states at
     /// each level of groups, the innermost first.
     pub fn element_names(&self) -> Vec<String> {
-        let own = self.estimated_names();
-        let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
-        own.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
+        let state_names = self.estimated_names();
+        let of = |level: &GroupLevel| state_names.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
+        state_names.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
     }
 
     /// Whether there is only one phase.

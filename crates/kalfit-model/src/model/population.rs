@@ -98,20 +98,20 @@ impl Population {
         let (mut mean, mut sigma, mut missing) = (Vec::with_capacity(p), DMatrix::zeros(p, p), Vec::new());
         for (phase, range) in model.phases.iter().zip(model.ranges()) {
             let structure = &phase.model.covariance;
-            let named = NamedBlock { model: &phase.model, structure, names: &names[range.clone()] };
-            mean.extend(named.means(&mut missing));
+            let named_block = NamedBlock { model: &phase.model, structure, names: &names[range.clone()] };
+            mean.extend(named_block.means(&mut missing));
             for regression in &phase.model.mean.regression {
                 let column = &phase.model.columns[regression.column].name;
-                let element = &named.names[regression.element];
+                let element = &named_block.names[regression.element];
                 missing.push(format!("the coefficient of `{column}` in mean[{element}]"));
             }
-            let own = named.covariance(alpha, &mut missing)?;
+            let own = named_block.covariance(alpha, &mut missing)?;
             sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
         }
         for (structure, range) in model.blocks().skip(model.phases.len()) {
             mean.resize(range.end, 0.0);
-            let named = NamedBlock { model: model.shared(), structure, names: &names[range.clone()] };
-            let own = named.covariance(alpha, &mut missing)?;
+            let named_block = NamedBlock { model: model.shared(), structure, names: &names[range.clone()] };
+            let own = named_block.covariance(alpha, &mut missing)?;
             sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
         }
         if !missing.is_empty() {
@@ -236,7 +236,7 @@ impl NamedBlock<'_> {
         let NamedBlock { structure, names: name, .. } = *self;
         let p = name.len();
         let blocks: Vec<Vec<usize>> = match &structure.kind {
-            CovarianceKind::Fixed(entries) => return matrix(entries, alpha),
+            CovarianceKind::Fixed(entries) => return evaluated_entries(entries, alpha),
             CovarianceKind::Proportional(_) => {
                 missing.push("the scale of the proportional covariance".to_owned());
                 return Ok(DMatrix::zeros(p, p));
@@ -264,12 +264,12 @@ impl NamedBlock<'_> {
         for i in 0..p {
             for j in 0..=i {
                 let fixed = structure.fixed.iter().find(|e| (e.i, e.j) == (i, j)).map(|e| e.value);
-                let absent = is_zero(structure, i)
+                let imposed_zero = is_zero(structure, i)
                     || is_zero(structure, j)
                     || !blocks.iter().any(|block| block.contains(&i) && block.contains(&j));
                 match fixed {
                     Some(value) => (sigma[(i, j)], sigma[(j, i)]) = (value, value),
-                    None if absent => {}
+                    None if imposed_zero => {}
                     None => missing.push(format!("covariance[{}, {}]", name[j], name[i])),
                 }
             }
@@ -283,7 +283,7 @@ fn is_zero(structure: &CovarianceStructure, i: usize) -> bool {
     structure.fixed.iter().any(|e| (e.i, e.j) == (i, i) && e.value == 0.0)
 }
 
-fn matrix(entries: &[Vec<Expression>], alpha: &Alpha) -> Result<DMatrix<f64>, PopulationError> {
+fn evaluated_entries(entries: &[Vec<Expression>], alpha: &Alpha) -> Result<DMatrix<f64>, PopulationError> {
     let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
     let mut values = DMatrix::zeros(entries.len(), entries.len());
     for (row, expressions) in entries.iter().enumerate() {

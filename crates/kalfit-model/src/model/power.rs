@@ -70,15 +70,15 @@ impl Model {
     /// k, if every variance of the model is proportional to θ^k and, except for Σ, no other expression depends on θ:
     /// then θ scales all noise.
     pub fn noise_power(&self, parameter: usize) -> Option<f64> {
-        let mut found = Vec::new();
+        let mut variance_exponents = Vec::new();
         for (site, expression) in self.expressions() {
             if site.is_variance() {
-                found.extend(expression.exponents(parameter)?);
+                variance_exponents.extend(expression.exponents(parameter)?);
             } else if !matches!(site, Site::Structure { .. }) && expression.exponent(parameter) != Some(0.0) {
                 return None;
             }
         }
-        match ascending(found)[..] {
+        match ascending(variance_exponents)[..] {
             [power] if power != 0.0 => Some(power),
             _ => None,
         }

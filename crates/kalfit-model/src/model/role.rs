@@ -35,10 +35,10 @@ enum SiteKind {
     Variance,
     /// A covariance of noises, of known starts, or in a matrix of Σ.
     Covariance,
-    /// The derivative of a state; `own` is true in the coefficient of the state that moves.
-    Derivative { own: bool },
-    /// The next value of a state; `own` is true for the coefficient of the state that moves.
-    Next { own: bool },
+    /// The derivative of a state; the flag is true in the coefficient of the state that moves.
+    Derivative { on_itself: bool },
+    /// The next value of a state; the flag is true in the coefficient of the state that moves.
+    Next { on_itself: bool },
     /// Any other position: a coefficient, an input, a condition, a correlation.
     Elsewhere,
 }
@@ -64,12 +64,12 @@ pub fn roles(model: &PhasedModel) -> Vec<Role> {
 /// empty.
 pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     let mut occurrences = vec![Vec::new(); parameters];
-    let mut note = |site_kind, expression| {
+    let mut record_site = |site_kind, expression| {
         let inside = Expression::parameters(expression);
         inside.into_iter().for_each(|parameter| occurrences[parameter].push((site_kind, expression)));
     };
-    model.phases.iter().for_each(|phase| each_expression(phase, &mut note));
-    model.levels.iter().for_each(|level| each_of_level(&level.covariance, &mut note));
+    model.phases.iter().for_each(|phase| each_expression(phase, &mut record_site));
+    model.levels.iter().for_each(|level| each_level_expression(&level.covariance, &mut record_site));
     occurrences.iter().enumerate().map(|(parameter, places)| role(parameter, places)).collect()
 }
 
@@ -104,18 +104,18 @@ fn scale(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Option<i3
 fn is_time_constant(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> bool {
     let mut decays = false;
     for (site_kind, expression) in occurrences {
-        let (found, own) = match site_kind {
+        let (dependence, on_itself) = match site_kind {
             SiteKind::Variance | SiteKind::Covariance => {
                 let scaled = expression.exponents(parameter).is_some();
                 (if scaled { Decay::None } else { expression.decay(parameter) }, false)
             }
-            SiteKind::Derivative { own } => (expression.rate(parameter), *own),
-            SiteKind::Next { own } => (expression.decay(parameter), *own),
+            SiteKind::Derivative { on_itself } => (expression.rate(parameter), *on_itself),
+            SiteKind::Next { on_itself } => (expression.decay(parameter), *on_itself),
             SiteKind::Elsewhere => return false,
         };
-        match found {
+        match dependence {
             Decay::Other => return false,
-            Decay::Falling => decays |= own,
+            Decay::Falling => decays |= on_itself,
             Decay::None => {}
         }
     }
@@ -132,34 +132,34 @@ fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(SiteKind, &'m Exp
 }
 
 fn site_kind(model: &Model, site: Site) -> SiteKind {
-    let moved = |state: usize, own: bool| match model.states[state].motion {
-        Motion::Discrete { .. } => SiteKind::Next { own },
-        _ => SiteKind::Derivative { own },
+    let moved = |state: usize, on_itself: bool| match model.states[state].motion {
+        Motion::Discrete { .. } => SiteKind::Next { on_itself },
+        _ => SiteKind::Derivative { on_itself },
     };
     match site {
         Site::Rate { state, from } => moved(state, state == from),
         Site::Input(state) => moved(state, false),
         Site::ProcessNoise(_) | Site::InitialVariance(_) | Site::Noise(_) => SiteKind::Variance,
         Site::ProcessCovariance | Site::NoiseCovariance => SiteKind::Covariance,
-        Site::KnownCovariance { diagonal } => of_matrix(diagonal),
-        Site::Structure { diagonal } => of_structure(&model.covariance.kind, diagonal),
+        Site::KnownCovariance { diagonal } => matrix_site_kind(diagonal),
+        Site::Structure { diagonal } => structure_site_kind(&model.covariance.kind, diagonal),
         _ => SiteKind::Elsewhere,
     }
 }
 
-fn of_matrix(diagonal: bool) -> SiteKind {
+fn matrix_site_kind(diagonal: bool) -> SiteKind {
     if diagonal { SiteKind::Variance } else { SiteKind::Covariance }
 }
 
-fn of_structure(kind: &CovarianceKind, diagonal: bool) -> SiteKind {
-    if matches!(kind, CovarianceKind::Correlation(_)) { SiteKind::Elsewhere } else { of_matrix(diagonal) }
+fn structure_site_kind(kind: &CovarianceKind, diagonal: bool) -> SiteKind {
+    if matches!(kind, CovarianceKind::Correlation(_)) { SiteKind::Elsewhere } else { matrix_site_kind(diagonal) }
 }
 
 /// Visits every expression of the covariance matrix of a level of groups, with the kind of position.
-fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(SiteKind, &'m Expression)) {
+fn each_level_expression<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(SiteKind, &'m Expression)) {
     for (site, expression) in covariance.kind.expressions() {
         let diagonal = site == Site::Structure { diagonal: true };
-        visit(of_structure(&covariance.kind, diagonal), expression);
+        visit(structure_site_kind(&covariance.kind, diagonal), expression);
     }
 }
 

@@ -101,9 +101,9 @@ impl Model {
     /// covariances, of the time of x_0, and of the known covariance and the structure of Σ.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
-        self.each_of_states(&mut all);
+        self.push_state_expressions(&mut all);
         for (measurement, meter) in self.measurements.iter().enumerate() {
-            linear(
+            push_linear(
                 &meter.equation,
                 |state| Site::Coefficient { measurement, state },
                 Site::Constant(measurement),
@@ -116,16 +116,16 @@ impl Model {
         all.extend(self.noise_covariance.iter().map(|(.., covariance)| (Site::NoiseCovariance, covariance)));
         all.extend(self.clock.initial_time.iter().map(|time| (Site::InitialTime, time)));
         if let Some(known) = &self.covariance.known {
-            matrix(known, |diagonal| Site::KnownCovariance { diagonal }, &mut all);
+            push_matrix(known, |diagonal| Site::KnownCovariance { diagonal }, &mut all);
         }
         all.extend(self.covariance.kind.expressions());
         all
     }
 
-    fn each_of_states<'m>(&'m self, all: &mut Vec<(Site, &'m Expression)>) {
+    fn push_state_expressions<'m>(&'m self, all: &mut Vec<(Site, &'m Expression)>) {
         for (i, state) in self.states.iter().enumerate() {
             if let Some((form, noise_variance)) = state.motion.parts() {
-                linear(form, |from| Site::Rate { state: i, from }, Site::Input(i), all);
+                push_linear(form, |from| Site::Rate { state: i, from }, Site::Input(i), all);
                 all.push((Site::ProcessNoise(i), noise_variance));
             }
             if let Initial::Known { mean, variance } = &state.initial {
@@ -140,21 +140,21 @@ impl CovarianceKind {
     /// (position, element) of every element of the matrix in the structure; empty for structures without a matrix.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
-        if let CovarianceKind::Proportional(own) | CovarianceKind::Correlation(own) | CovarianceKind::Fixed(own) = self
+        if let CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries) | CovarianceKind::Fixed(entries) = self
         {
-            matrix(own, |diagonal| Site::Structure { diagonal }, &mut all);
+            push_matrix(entries, |diagonal| Site::Structure { diagonal }, &mut all);
         }
         all
     }
 }
 
-fn linear<'m>(form: &'m Linear, of: impl Fn(usize) -> Site, constant: Site, all: &mut Vec<(Site, &'m Expression)>) {
-    all.extend(form.terms.iter().map(|(state, coefficient)| (of(*state), coefficient)));
+fn push_linear<'m>(form: &'m Linear, site_of: impl Fn(usize) -> Site, constant: Site, all: &mut Vec<(Site, &'m Expression)>) {
+    all.extend(form.terms.iter().map(|(state, coefficient)| (site_of(*state), coefficient)));
     all.push((constant, &form.constant));
 }
 
-fn matrix<'m>(rows: &'m [Vec<Expression>], of: impl Fn(bool) -> Site, all: &mut Vec<(Site, &'m Expression)>) {
+fn push_matrix<'m>(rows: &'m [Vec<Expression>], site_of: impl Fn(bool) -> Site, all: &mut Vec<(Site, &'m Expression)>) {
     for (i, row) in rows.iter().enumerate() {
-        all.extend(row.iter().enumerate().map(|(j, entry)| (of(i == j), entry)));
+        all.extend(row.iter().enumerate().map(|(j, entry)| (site_of(i == j), entry)));
     }
 }

@@ -44,15 +44,15 @@ impl Slots {
     /// [`Slots::new`] from references to tests.
     pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();
-        for (parameter, what) in model.parameters.iter().enumerate() {
-            let positions = match (what.value, what.per) {
+        for (parameter, definition) in model.parameters.iter().enumerate() {
+            let positions = match (definition.value, definition.per) {
                 (Value::Fixed(_), _) => ParameterSlots::Fixed,
                 (Value::Free { .. }, None) => ParameterSlots::Common(slots.add(parameter, None)),
                 (Value::Free { .. }, Some(column)) => {
-                    let mut levels = levels(what, column, tests);
+                    let mut levels = levels(definition, column, tests);
                     levels.sort_by(|a, b| labels.text(*a).cmp(labels.text(*b)));
-                    let place = |level: Label| (level, slots.add(parameter, Some(level)));
-                    ParameterSlots::Each { column, positions: levels.into_iter().map(place).collect() }
+                    let add_level = |level: Label| (level, slots.add(parameter, Some(level)));
+                    ParameterSlots::Each { column, positions: levels.into_iter().map(add_level).collect() }
                 }
             };
             slots.positions.push(positions);

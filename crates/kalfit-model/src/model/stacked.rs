@@ -9,12 +9,12 @@ impl Population {
     /// dimensions of the model.
     pub fn by_phase(&self, model: &PhasedModel) -> Vec<Population> {
         let mut coefficients = self.coefficients.as_slice();
-        let of = |(phase, range): (&Phase, Range<usize>)| {
-            let (own, rest) = coefficients.split_at(phase.model.mean.regression.len());
+        let phase_population = |(phase, range): (&Phase, Range<usize>)| {
+            let (phase_coefficients, rest) = coefficients.split_at(phase.model.mean.regression.len());
             coefficients = rest;
             let covariance = self.covariance.view((range.start, range.start), (range.len(), range.len())).into_owned();
-            Population { mean: self.mean[range].to_vec(), coefficients: own.to_vec(), covariance }
+            Population { mean: self.mean[range].to_vec(), coefficients: phase_coefficients.to_vec(), covariance }
         };
-        model.phases.iter().zip(model.ranges()).map(of).collect()
+        model.phases.iter().zip(model.ranges()).map(phase_population).collect()
     }
 }

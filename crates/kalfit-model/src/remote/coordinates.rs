@@ -40,8 +40,8 @@ impl Coordinates {
 
     /// The frame of the states `states`.
     pub fn part(&self, states: &Range<usize>) -> Coordinates {
-        let of = |all: &[f64]| all[states.clone()].to_vec();
-        Coordinates { centre: of(&self.centre), scale: of(&self.scale), covariate_scale: self.covariate_scale.clone() }
+        let pick_states = |all: &[f64]| all[states.clone()].to_vec();
+        Coordinates { centre: pick_states(&self.centre), scale: pick_states(&self.scale), covariate_scale: self.covariate_scale.clone() }
     }
 
     /// μ in the user's units from μ in η.

@@ -103,7 +103,8 @@ fn bounds(model: &PhasedModel) -> (usize, usize) {
 
 /// Indices of the tests that are given by rows, by ascending p-value, then by id.
 fn tests_by_p_value(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
-    let of: std::collections::HashMap<&str, f64> = fit.tests.iter().map(|test| (test.id, smallest_p_value(test))).collect();
+    let of: std::collections::HashMap<&str, f64> =
+        fit.tests.iter().map(|test| (test.id, smallest_p_value(test))).collect();
     let p_value = |test: usize| of.get(tests[test].id.as_str()).copied().unwrap_or(2.0);
     let all_rows = |test: &PhasedTest| {
         let mut phases = test.phases.iter();

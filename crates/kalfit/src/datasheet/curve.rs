@@ -162,8 +162,10 @@ fn inputs(model: &Model) -> Vec<String> {
             Site::Input(_) | Site::Offset(_) | Site::InitialMean(_) | Site::Coefficient { .. } | Site::Constant(_)
         )
     };
-    let all =
-        model.expressions().into_iter().filter(|(site, _)| is_input_site(site) || site.is_of_filter() || site.is_variance());
+    let all = model
+        .expressions()
+        .into_iter()
+        .filter(|(site, _)| is_input_site(site) || site.is_of_filter() || site.is_variance());
     let (input_sites, other_sites): (Vec<_>, Vec<_>) = all.partition(|(site, _)| is_input_site(site));
     let reads = |all: &[(Site, &Expression)], column: usize| {
         let own = |part: &Expression| matches!(part, Expression::Column(other) if *other == column);

@@ -115,7 +115,12 @@ impl<'a> EntryCollector<'a> {
                 if let Some((damping, noise)) = self.second_order(i, derivative) {
                     let own = [damping, noise];
                     let beta = |v: &[f64]| -0.5 * v[0];
-                    return self.add_gauss_markov(i, &own, step, (&|v| 1.0 / beta(v), &|v| (0.25 * v[1] / beta(v).powi(3)).sqrt()));
+                    return self.add_gauss_markov(
+                        i,
+                        &own,
+                        step,
+                        (&|v| 1.0 / beta(v), &|v| (0.25 * v[1] / beta(v).powi(3)).sqrt()),
+                    );
                 }
                 let hidden = i > 0 && self.is_second_order(i - 1);
                 if hidden || is_zero(noise_variance) {
@@ -133,7 +138,10 @@ impl<'a> EntryCollector<'a> {
                 if let [(own, decay_factor)] = next.terms.as_slice()
                     && *own == i
                     && is_zero(&next.constant)
-                    && self.reader.number(decay_factor, step)?.is_some_and(|decay_factor| decay_factor > 0.0 && decay_factor < 1.0)
+                    && self
+                        .reader
+                        .number(decay_factor, step)?
+                        .is_some_and(|decay_factor| decay_factor > 0.0 && decay_factor < 1.0)
                 {
                     let length = length.unwrap_or(f64::NAN);
                     let tau = |v: &[f64]| -length / v[0].ln();

@@ -7,18 +7,18 @@ mod table;
 use self::lags::lag_count;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Ljung and Box's test (1978), computed for each measurement of each phase and added up over them:
+/// Ljung and Box's test (1978), computed for each measurement of each phase and added up over all measurements:
 ///
 /// ```text
 /// Q = Σ_measurements n (n + 2) Σ_k r_k² / (n - k)      r_k = Σ_t z_t z_{t+k} / Σ_t z_t²      k = 1 … min(10, n/5)
 /// ```
 ///
 /// The mean of the z = e/√S is known to be zero and is not subtracted, so that Q has exactly the mean of its χ² however
-/// few innovations there are, and a bias of the innovations counts as correlation. Its tail is not that of χ² and is
-/// known by simulation for every length: the p-value holds to 1e-6 and beyond (book/src/guide/coverage.md). Each
-/// measurement's Q is converted to the χ² value of the same probability, and these values are added up. A measurement
-/// with fewer than five innovations has no lag. The lag is counted in innovations of the measurement, whatever the time
-/// between them.
+/// few innovations there are, and a bias of the innovations counts as correlation. The tail of Q differs from the tail
+/// of χ² and is known by simulation for every length: the p-value holds to 1e-6 and beyond
+/// (book/src/guide/coverage.md). Each measurement's Q is converted to the χ² value of the same probability, and these
+/// values are added up. A measurement with fewer than five innovations has no lag. The lag is counted in innovations of
+/// the measurement, whatever the time between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Whiteness {
     /// Q.
@@ -32,8 +32,8 @@ pub struct Whiteness {
 }
 
 impl Whiteness {
-    /// Tests the e/√S of each measurement, in their order; `None` when no measurement has five, or all innovations are
-    /// zero.
+    /// Tests e/√S of each measurement, in the order of the filter; `None` when no measurement has five innovations, or
+    /// all innovations are zero.
     pub fn of<'a>(channels: impl Iterator<Item = &'a [f64]>) -> Option<Whiteness> {
         let (mut statistic, mut value, mut lags, mut degrees_of_freedom) = (0.0, 0.0, 0, 0);
         for z in channels {
@@ -54,7 +54,7 @@ fn ljung_box(z: &[f64]) -> Option<f64> {
     if lag_count(n) == 0 || largest == 0.0 {
         return None;
     }
-    // relative to the largest, so that no square overflows or vanishes
+    // relative to the largest |z|, so that no square overflows or vanishes
     let square: f64 = z.iter().map(|x| (x / largest).powi(2)).sum();
     let lag = |k: usize| {
         let product: f64 = z.iter().zip(&z[k..]).map(|(a, b)| (a / largest) * (b / largest)).sum();

@@ -5,16 +5,17 @@ use super::table::{CHI_SQUARED, LENGTHS, QUANTILES};
 
 /// Number of tail probabilities for which quantiles are known.
 const LEVELS: usize = CHI_SQUARED[0].len();
-/// Rows of the table before the lengths that are interpolated: one for each length with fewer than `MAX_LAGS` lags.
+/// Number of rows of the table before the lengths that are interpolated: one for each length with fewer than `MAX_LAGS`
+/// lags.
 const SHORT_ROWS: usize = MAX_LAGS * INNOVATIONS_PER_LAG - INNOVATIONS_PER_LAG;
 
-/// The χ² value that has the same tail probability as a Q of n innovations; its degrees of freedom are their number of
-/// lags.
+/// The χ² value with the tail probability of the statistic `q` of n innovations; the degrees of freedom of χ² are the
+/// number of lags.
 ///
 /// Q is far from χ² in its tail, even for hundreds of innovations: one slow or alternating motion makes all r_k large
-/// at once. Its quantiles are known from simulation ([`super::table`]); between them the value is interpolated, and for
-/// probabilities below 1e-8 extrapolated. For more than 50 innovations the quantiles are interpolated linearly in 1/n
-/// between lengths, with those of χ² for n → ∞.
+/// at once. The quantiles of Q are known from simulation ([`super::table`]); between quantiles the value is
+/// interpolated, and for probabilities below 1e-8 extrapolated. For more than 50 innovations the quantiles are
+/// interpolated linearly in 1/n between lengths, with the quantiles of χ² for n → ∞.
 pub(super) fn chi_squared_value(q: f64, n: usize) -> f64 {
     let lags = lag_count(n);
     let values = &CHI_SQUARED[lags - 1];

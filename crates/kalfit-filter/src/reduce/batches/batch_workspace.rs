@@ -97,8 +97,8 @@ impl BatchWorkspace {
         }
     }
 
-    /// Evaluates tests, runs the filters and adds the results to `found`. The reduction of a test does not depend on the
-    /// other tests.
+    /// Evaluates tests, runs the filters and adds the results to `found`. The reduction of a test does not depend on
+    /// the other tests.
     pub(crate) fn reduce(
         &mut self,
         reducer: &Reducer,

@@ -166,8 +166,8 @@ impl BatchLayout {
         first..self.design.ends[row]
     }
 
-    /// (scalar measurements on the lines `rows` of the test in a lane, length of the step). The lines, at least one, are
-    /// lines of one step.
+    /// (scalar measurements on the lines `rows` of the test in a lane, length of the step). The lines, at least one,
+    /// are lines of one step.
     pub(crate) fn instances_of(&self, lane: usize, rows: &[usize]) -> (Vec<Instance>, f64) {
         let place = |row: usize| row * self.lanes + lane;
         let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.sources[place(row)] as usize };

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use kalfit_lanes::{MOST, Width};
+use kalfit_lanes::{MAX_LANES, Width};
 
 use crate::reduce::batches::layout::BatchLayout;
 use crate::reduce::dynamics::Table;
@@ -20,7 +20,7 @@ pub(crate) struct BatchValues {
     pub(crate) batch_filter: BatchFilter,
     pub(crate) motion: MotionColumns,
     /// True for each lane whose values are valid; a test in another lane is reduced alone.
-    pub(super) valid: [bool; MOST],
+    pub(super) valid: [bool; MAX_LANES],
 }
 
 /// How the values of a coefficient are updated at a new α.
@@ -50,7 +50,7 @@ impl<'a> Refresh<'a> {
         &self,
         present: &[f64],
         value: impl Fn(usize, &Coefficient) -> Result<f64, Box<Fault>>,
-        valid: &mut [bool; MOST],
+        valid: &mut [bool; MAX_LANES],
         mut put: impl FnMut(usize, f64),
     ) {
         for lane in (0..present.len()).filter(|&lane| present[lane] != 0.0) {
@@ -76,7 +76,7 @@ struct MeasurementRefresh<'a> {
 impl BatchValues {
     /// Values for lanes of this width, without tests yet.
     pub(super) fn new(width: Width) -> BatchValues {
-        BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), valid: [true; MOST] }
+        BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), valid: [true; MAX_LANES] }
     }
 
     /// Takes new tests in place of the previous tests and evaluates all values.
@@ -90,7 +90,7 @@ impl BatchValues {
 
     /// Evaluates the values at the α of `preparer`; if `fresh`, also the values that do not depend on α.
     pub(super) fn evaluate(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
-        self.valid = [true; MOST];
+        self.valid = [true; MAX_LANES];
         self.start(layout, (preparer, tests));
         self.measure(layout, (preparer, tests), fresh);
         let at = preparer.at();
@@ -193,7 +193,7 @@ fn table(
     (at, table): (&ModelAt<'_>, &Table),
     columns: &mut [Vec<f64>],
     fresh: bool,
-    valid: &mut [bool; MOST],
+    valid: &mut [bool; MAX_LANES],
 ) {
     let (lanes, steps) = (layout.lanes, &layout.transitions);
     for ((_, coefficient, variance), column) in table.varying.iter().zip(columns) {

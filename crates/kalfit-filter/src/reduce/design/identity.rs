@@ -36,8 +36,8 @@ impl DesignDigest {
         self.words.extend(phi.chain(q).map(f64::to_bits));
     }
 
-    /// Takes a scalar measurement of the current step. Terms of zero, which whitened measurements can have, are left
-    /// out.
+    /// Takes a scalar measurement of the current step. Terms with h = 0, which whitened measurements can have,
+    /// are omitted.
     #[inline]
     pub(crate) fn line(&mut self, terms: impl Iterator<Item = (u32, f64)>, noise: f64) {
         let mut states = 1;
@@ -68,7 +68,8 @@ impl DesignDigest {
 }
 
 impl Design {
-    /// Digest of all numbers. Consecutive equal steps are taken one by one, as in lanes, except in long stretches.
+    /// Digest of all numbers of the design. Consecutive equal steps enter one by one, as in lanes, except in long
+    /// stretches.
     pub(crate) fn digest(&self) -> u128 {
         let mut identity = DesignDigest::new();
         identity.begin(&self.frame, self.variance.iter().copied());
@@ -88,7 +89,7 @@ impl Design {
         identity.finish()
     }
 
-    /// Equal bit for bit.
+    /// True if the designs are equal bit for bit.
     pub(crate) fn same(&self, other: &Design) -> bool {
         let same_moves = |(a, b): (&Arc<Transition>, &Arc<Transition>)| Arc::ptr_eq(a, b) || a.same(b);
         (Arc::ptr_eq(&self.frame, &other.frame) || self.frame == other.frame)

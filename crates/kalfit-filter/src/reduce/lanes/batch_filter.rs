@@ -1,4 +1,4 @@
-//! Filters of tests whose numbers stay in lanes, so that they can be changed and the filters run again.
+//! Filters of tests in lanes, which can run again after numbers of the tests have changed.
 
 use kalfit_lanes::Width;
 
@@ -7,24 +7,25 @@ use crate::reduce::lanes::data_block::DataBlock;
 use crate::reduce::lanes::design_batch::{BatchPasses, DesignBatch};
 use crate::reduce::lanes::workspace::DataWorkspace;
 
-/// Designs and data of tests, one test per lane, and the results of their filters. All tests have the steps and
-/// measurements of one common shape; those that a test lacks change nothing in its lane: h = 0, R = 1, φ = I, Q = 0.
+/// Designs and data of tests, one test per lane, and the results of the filters. All tests have the steps and
+/// measurements of one common shape; a step or measurement that a test lacks changes nothing in the lane of the test:
+/// h = 0, R = 1, φ = I, Q = 0.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchFilter {
     pub(crate) block: DataBlock,
     pub(crate) design_batch: DesignBatch,
 }
 
-/// The numbers of the tests, mutable: number k of the test in a lane is at k × lanes + lane.
+/// The numbers of the tests, mutable. In each list, entry k of the test in a lane is at k × lanes + lane.
 #[derive(Debug)]
 pub(crate) struct BatchColumns<'a> {
-    /// P0 on the noise-reachable states, r × r.
+    /// P0 on the noise-reachable states, r × r, lower triangle by rows.
     pub(crate) variance: &'a mut [f64],
-    /// Coefficients of the terms of each row.
+    /// Coefficients h of the terms of each row.
     pub(crate) h: &'a mut [f64],
     /// R of each row.
     pub(crate) noise: &'a mut [f64],
-    /// Entries of φ and of Q of each transition.
+    /// Stored entries of φ, and of Q, of each transition.
     pub(crate) phi: &'a mut [f64],
     pub(crate) q: &'a mut [f64],
     /// a of each test, n numbers.

@@ -9,8 +9,8 @@ use crate::reduce::lanes::numbers::DataView;
 use crate::reduce::lanes::pass::DataPass;
 use crate::reduce::lanes::workspace::DataWorkspace;
 
-/// Start, inputs and values of as many tests as lanes: number k of the test in a lane is at k × lanes + lane. Empty
-/// lanes hold zeros.
+/// a, b and z - d of as many tests as lanes: number k of the test in a lane is at k × lanes + lane. Empty lanes hold
+/// zeros.
 #[derive(Debug, Clone)]
 pub(crate) struct DataBlock {
     width: Width,
@@ -31,12 +31,12 @@ impl DataBlock {
         self.width
     }
 
-    /// Number of lanes: of tests that the block can hold.
+    /// Number of lanes, which is the number of tests that the block can hold.
     pub(crate) fn lanes(&self) -> usize {
         self.width.lanes()
     }
 
-    /// Empties the block for tests with these counts of start numbers, inputs and values.
+    /// Sets the block to zeros, for tests with `start` numbers of a, `inputs` of b and `values` of z - d.
     pub(crate) fn clear(&mut self, start: usize, inputs: usize, values: usize) {
         (self.inputs, self.values) = (start, start + inputs);
         self.numbers.clear();
@@ -59,7 +59,7 @@ impl DataBlock {
         }
     }
 
-    /// Runs the data pass of a class.
+    /// Runs the data pass of all lanes under the gains of one design.
     pub(crate) fn run(&self, design: &Design, gains: &Gains, scratch: &mut DataWorkspace) {
         self.width.run(DataPass { design, gains, data: self.view(), scratch });
     }
@@ -84,7 +84,7 @@ impl DataBlock {
         DataView { start, inputs, values }
     }
 
-    /// The outcome of a pass in a lane, for `active` measurements with this Σ log S.
+    /// The outcome of the pass of the test in a lane. `log_determinant`: Σ log S over `active` measurements.
     pub(crate) fn outcome(
         &self,
         lane: usize,
@@ -94,7 +94,7 @@ impl DataBlock {
         scratch.outcome((lane, self.width.lanes()), active, log_determinant)
     }
 
-    /// The innovations of the test in a lane, as many as the longest test of the block has.
+    /// The innovations e of the test in a lane, one for each value of the block.
     pub(crate) fn innovations<'a>(
         &self,
         lane: usize,

@@ -23,7 +23,7 @@ pub(crate) struct DesignBatch {
     pub(crate) noise: Vec<f64>,
     pub(crate) phi: Vec<f64>,
     pub(crate) q: Vec<f64>,
-    /// Number of the transition of each run; without meaning for a run that has none.
+    /// Index of the transition of each run; without meaning for a run without a transition.
     moves: Vec<usize>,
     /// (1/S, K) of each row, and T of each row, in lanes.
     gains: Vec<f64>,
@@ -32,17 +32,17 @@ pub(crate) struct DesignBatch {
     stride: usize,
     p: usize,
     factor: Vec<f64>,
-    /// (R, Σ log S) of each design; `None` if square-root arrays are called for.
+    /// (R, Σ log S) of each design; `None` if the design needs square-root arrays.
     pub(crate) found: Vec<Option<(Vec<f64>, f64)>>,
     /// Sums of the pass, in lanes.
     sums: Vec<f64>,
     /// True if the last states of the designs are wanted.
     pub(crate) with_ends: bool,
-    /// P and Ψ after the last step of each design, if they are wanted.
+    /// P and Ψ after the last step of each design, in lanes; written only if `with_ends`.
     last: (Vec<f64>, Vec<f64>),
 }
 
-/// The design pass over `tests` designs in lanes, of the shape of `design`, and then the data pass.
+/// The design pass over `tests` designs in lanes, all of the shape of `design`, and then the data pass.
 pub(super) struct BatchPasses<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
@@ -124,7 +124,7 @@ impl DesignBatch {
         filter.sums
     }
 
-    /// Takes a scalar measurement and stores its 1/S, K and T.
+    /// Takes a scalar measurement into the filter and stores 1/S, K and T.
     #[inline(always)]
     fn measure<T: Lanes>(&mut self, filter: &mut CovarianceFilter<T>, design: &Design, (line, row): (usize, usize)) {
         let frame = &*design.frame;
@@ -165,8 +165,8 @@ impl DesignBatch {
         }
     }
 
-    /// The last state of the design in a lane; `None` if that calls for square-root arrays. `states`: the model's state
-    /// at each position in kernel order.
+    /// Ψ_K and a root of P_K of the design in a lane; `None` if the root needs square-root arrays. `states`: the
+    /// model's state at each position in kernel order.
     pub(crate) fn end(&self, (lane, lanes): (usize, usize), states: &[usize]) -> Option<TerminalRoot> {
         let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(lanes).copied().collect() };
         TerminalRoot::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)

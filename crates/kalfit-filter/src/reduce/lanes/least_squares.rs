@@ -1,4 +1,4 @@
-//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e. Where e'S⁻¹e is large, they are
+//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e. Where e'S⁻¹e is large, both are
 //! computed from the innovations at the best ξ, e - Tξ, in which nothing cancels (corrected seminormal equations,
 //! Björck 1987).
 
@@ -16,7 +16,7 @@ use crate::reduce::scan::STEPS_PER_SUM;
 /// Number of independent partial sums, so that no addition waits for the previous one.
 const PARTIAL_SUMS: usize = 8;
 
-/// Replaces y by d and computes the residuals; for a test with large e'S⁻¹e by way of its best ξ.
+/// Replaces y by d and computes the residual sum of squares; for a test with large e'S⁻¹e by way of the best ξ.
 #[inline(always)]
 pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, scratch: &mut DataWorkspace) {
     let p = design.frame.p;
@@ -119,7 +119,7 @@ fn each<T: Lanes, N: Numbers<T>>(
     total
 }
 
-/// [`weighted_sums`] of rows of which every `width`-th has the same 1/S and T.
+/// [`weighted_sums`] of rows of which every `width`-th shares one 1/S and T.
 #[inline(always)]
 fn equal<T: Lanes, N: Numbers<T>>(
     numbers: &N,

@@ -2,7 +2,7 @@
 //! the design pass too.
 //!
 //! The numbers of a lane never depend on the other lanes, and a single test takes the same path in one lane
-//! ([`Isa::alone`](kalfit_lanes::Isa::alone)): its reduction has the same bits whatever else is in its batch.
+//! ([`Isa::alone`](kalfit_lanes::Isa::alone)): the reduction of a test has the same bits whatever else is in the batch.
 
 mod batch_filter;
 mod data_block;

@@ -1,4 +1,4 @@
-//! What a pass over tests reads: numbers of their designs, and their data in lanes.
+//! The numbers that a pass over tests in lanes reads from the designs and the data of the tests.
 #![expect(non_snake_case, reason = "the letters of the theory: R")]
 
 use kalfit_lanes::Lanes;
@@ -9,13 +9,13 @@ use crate::reduce::entries::Entries;
 
 /// The numbers that a pass reads from the designs of its tests: shared by all lanes, or one per lane.
 pub(crate) trait Numbers<T> {
-    /// Type of a list of such numbers.
+    /// Type of a list of numbers: shared by all lanes, or one per lane.
     type List<'a>: Entries<T>
     where
         Self: 'a;
     /// The transition of a run.
     fn transition<'a>(&'a self, design: &'a Design, run: usize) -> Option<TransitionView<'a, Self::List<'a>>>;
-    /// Coefficients of the terms of all lines.
+    /// Coefficients h of the terms of all lines.
     fn h(&self) -> Self::List<'_>;
     /// 1/S and K of a row.
     fn gains(&self, row: usize) -> (T, Self::List<'_>);
@@ -23,7 +23,7 @@ pub(crate) trait Numbers<T> {
     fn sensitivities(&self, row: usize) -> Self::List<'_>;
     /// R, upper triangle, packed by columns.
     fn R(&self) -> Self::List<'_>;
-    /// Rows from `row` to at most `end`, with the part of them in which 1/S and T repeat.
+    /// Rows from `row` to at most `end`, and the row from which on 1/S and T repeat.
     #[inline(always)]
     fn repeats(&self, _row: usize, end: usize) -> Repeats {
         Repeats { steady: end, end, width: 1 }
@@ -38,7 +38,7 @@ pub(crate) trait Numbers<T> {
     }
 }
 
-/// Rows up to `end`; from row `steady` on, every `width`-th row has the same 1/S and T.
+/// Rows up to `end`; from row `steady` on, 1/S and T repeat every `width` rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Repeats {
     pub(super) steady: usize,

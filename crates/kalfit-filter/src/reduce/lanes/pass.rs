@@ -1,4 +1,5 @@
-//! The data pass: innovations of tests under the gains of their designs, and their sums, one test per lane.
+//! The data pass: innovations of tests under the gains of the designs, and sums over the innovations, one test per
+//! lane.
 #![expect(non_snake_case, reason = "the letters of the theory: K, R")]
 
 use std::cell::Cell;
@@ -19,7 +20,7 @@ use crate::reduce::scan::{STEPS_PER_SUM, Scan, scanned};
 struct SharedDesign<'a> {
     design: &'a Design,
     gains: &'a Gains,
-    /// The piece of the last row: rows are visited in order.
+    /// Index of the piece of the row visited last; rows are visited in order.
     piece: Cell<usize>,
 }
 
@@ -28,7 +29,7 @@ impl<'a> SharedDesign<'a> {
         SharedDesign { design, gains, piece: Cell::new(0) }
     }
 
-    /// (Piece that contains a row, end of its rows).
+    /// (piece that contains a row, end of the rows of the piece).
     #[inline(always)]
     fn piece(&self, row: usize) -> (&GainSpan, usize) {
         let (pieces, last) = (&self.gains.pieces, self.piece.get());
@@ -143,7 +144,8 @@ pub(crate) fn innovations<L: InnovationObserver>(
     Isa::best().alone().run(InnovationPass { design, gains, data, scratch, observer });
 }
 
-/// The data pass of a single test, with the same bits as in a lane of a batch; its results are in `scratch`.
+/// Runs the data pass of a single test, with the same bits as in a lane of a batch, and writes the results to
+/// `scratch`.
 pub(crate) fn pass_alone((design, gains): (&Design, &Gains), data: &Data, scratch: &mut DataWorkspace) {
     Isa::best().alone().run(DataPass { design, gains, data: DataView::of(data), scratch });
 }
@@ -172,12 +174,13 @@ struct MeanState<T> {
     y: Vec<T>,
     /// Sum of e'S⁻¹e over the completed blocks of steps.
     square: T,
-    /// Parts of y and e'S⁻¹e from the current block of steps: rounding grows with the number of blocks, not of rows.
+    /// Sums y and e'S⁻¹e over the current block of steps only, so that rounding grows with the number of blocks, not
+    /// the number of rows.
     y_part: Vec<T>,
     square_part: T,
 }
 
-/// The pass over tests whose designs have the shape of `design`. Returns e'S⁻¹e; y goes to `room.d`.
+/// Runs the pass over tests whose designs have the shape of `design`. Returns e'S⁻¹e; y goes to `scratch.d`.
 #[inline(always)]
 pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     design: &Design,
@@ -243,8 +246,8 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     state.square
 }
 
-/// The scan of a stretch of equal steps: updates x̂, y and e. Gives e'S⁻¹e of the stretch; `None` if it cannot be
-/// scanned.
+/// The scan of a stretch of equal steps: updates x̂, y and e. Gives e'S⁻¹e of the stretch; `None` if the
+/// stretch cannot be scanned.
 struct StretchScan<'a, T, N> {
     numbers: &'a N,
     design: &'a Design,

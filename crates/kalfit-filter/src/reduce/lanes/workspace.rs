@@ -15,13 +15,14 @@ pub struct DataWorkspace {
     pub(super) best: Vec<f64>,
     /// d, refined by way of the best ξ.
     pub(super) refined: Vec<f64>,
-    /// Residual sum of squares of each test, and whether its d was refined.
+    /// Residual sum of squares of each test.
     pub(super) residual: Vec<f64>,
+    /// True for each test whose d is in `refined`.
     pub(super) is_refined: Vec<bool>,
 }
 
 impl DataWorkspace {
-    /// The outcome in lane `lane` of `lanes`, for `active` measurements with this Σ log S.
+    /// The outcome of the test in lane `lane` of `lanes`. `log_determinant`: Σ log S over `active` measurements.
     pub(crate) fn outcome(&self, (lane, lanes): (usize, usize), active: usize, log_determinant: f64) -> Outcome {
         let data = if self.is_refined[lane] { &self.refined } else { &self.d };
         Outcome::new(

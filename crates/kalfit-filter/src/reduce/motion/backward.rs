@@ -49,7 +49,9 @@ impl MotionPlan {
         for (drive, bar) in self.drives.iter().zip(input_bar) {
             match drive {
                 InputSource::Slot(slot) => add_adjoint(*slot, *bar)?,
-                InputSource::Flow(terms) => terms.iter().try_for_each(|&(at, slot)| add_adjoint(slot, bar * flows[at]))?,
+                InputSource::Flow(terms) => {
+                    terms.iter().try_for_each(|&(at, slot)| add_adjoint(slot, bar * flows[at]))?
+                }
             }
         }
         Ok(())

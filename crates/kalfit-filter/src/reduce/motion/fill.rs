@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use kalfit_lanes::{Isa, Kernel, Lanes, MOST, Width};
+use kalfit_lanes::{Isa, Kernel, Lanes, MAX_LANES, Width};
 
 use crate::reduce::dynamics::{Component, Dynamics, Table};
 use crate::reduce::lanes::BatchColumns;
@@ -118,9 +118,9 @@ impl MotionPlan {
         dynamics: &Dynamics,
         (steps, motion): (&Transitions, &mut MotionColumns),
         out: BatchColumns<'_>,
-    ) -> [bool; MOST] {
+    ) -> [bool; MAX_LANES] {
         if check_noise(dynamics, &dynamics.table.fixed).is_err() {
-            return [false; MOST];
+            return [false; MAX_LANES];
         }
         let MotionColumns { values, inputs, flows } = motion;
         flows.resize(self.flow_len * steps.dt.len(), 0.0);
@@ -211,10 +211,10 @@ struct TransitionKernel<'a> {
 
 impl Kernel for TransitionKernel<'_> {
     /// For each lane, whether flows, φ and Q are finite.
-    type Output = [bool; MOST];
+    type Output = [bool; MAX_LANES];
 
     #[inline(always)]
-    fn run<T: Lanes>(mut self) -> [bool; MOST] {
+    fn run<T: Lanes>(mut self) -> [bool; MAX_LANES] {
         let (plan, places) = (self.plan, self.steps.dt.len());
         let (terms, pairs) = (plan.phi.len(), plan.q.len());
         let (zero, mut defect) = (T::splat(0.0), T::splat(0.0));
@@ -235,7 +235,7 @@ impl Kernel for TransitionKernel<'_> {
                 defect = x.fma(zero, defect);
             }
         }
-        let mut finite_lanes = [false; MOST];
+        let mut finite_lanes = [false; MAX_LANES];
         for lane in 0..T::COUNT {
             finite_lanes[lane] = defect.lane(lane) == 0.0;
         }
@@ -249,7 +249,10 @@ impl TransitionKernel<'_> {
     fn singles<T: Lanes>(&mut self, place: usize) {
         let places = self.steps.dt.len();
         for single in &self.plan.singles {
-            let (f, q) = (self.values.lanes_or_zero::<T>(single.rate, place), self.values.lanes_or_zero::<T>(single.noise, place));
+            let (f, q) = (
+                self.values.lanes_or_zero::<T>(single.rate, place),
+                self.values.lanes_or_zero::<T>(single.noise, place),
+            );
             let flow = scalar_flows(f, q, T::load(&self.steps.dt[place..]));
             for k in 0..3 {
                 flow[k].store(&mut self.flows[(single.offset + k) * places + place..]);
@@ -257,13 +260,14 @@ impl TransitionKernel<'_> {
         }
     }
 
-    /// An entry of φ or Q; `resting_value`: value of the entry where a test has no transition.
+    /// An entry of φ or Q; `rest`: value of the entry where a test has no transition.
     #[inline(always)]
     fn entry<T: Lanes>(&self, entry: &EntrySource, resting_value: f64, place: usize) -> T {
         match entry {
             EntrySource::Slot(slot) => {
                 let moving = T::load(&self.steps.moving[place..]);
-                moving.fma(self.values.lanes(*slot, place), moving.fnma(T::splat(resting_value), T::splat(resting_value)))
+                moving
+                    .fma(self.values.lanes(*slot, place), moving.fnma(T::splat(resting_value), T::splat(resting_value)))
             }
             EntrySource::Flow(at) => self.flow(*at, place),
             EntrySource::Held(terms) => held(terms, |at| self.flow(at, place), |slot| self.values.lanes(slot, place)),

@@ -1,6 +1,6 @@
 //! From adjoints of the transitions of tests in lanes back to adjoints of the coefficients of the motion.
 
-use kalfit_lanes::{Lanes, MOST};
+use kalfit_lanes::{Lanes, MAX_LANES};
 
 use crate::reduce::dynamics::{Component, Dynamics};
 use crate::reduce::motion::backward::{Evaluated, component_backward};
@@ -92,7 +92,7 @@ pub(crate) struct MotionBars<T> {
     /// Flow adjoints of coupled components with steady coefficients, summed over successive transitions of one length;
     /// `last` is the place of the last such transition in each lane.
     pending: Vec<T>,
-    last: [Option<usize>; MOST],
+    last: [Option<usize>; MAX_LANES],
     pub(crate) values: Vec<T>,
     pub(crate) inputs: Vec<T>,
 }
@@ -104,7 +104,7 @@ impl MotionPullback<'_> {
         let zero = T::splat(0.0);
         let (flows, values, inputs) =
             (vec![zero; self.plan.flow_len], self.values.fixed.len(), self.inputs.fixed.len());
-        let (pending, last) = (flows.clone(), [None; MOST]);
+        let (pending, last) = (flows.clone(), [None; MAX_LANES]);
         MotionBars { flows, pending, last, values: vec![zero; values], inputs: vec![zero; inputs] }
     }
 
@@ -239,9 +239,9 @@ impl MotionPullback<'_> {
     }
 }
 
-/// `numbers` with `addend` added in one lane.
+/// `numbers` with `more` added in one lane.
 fn add_to_lane<T: Lanes>(numbers: T, lane: usize, addend: f64) -> T {
-    let mut all = [0.0; MOST];
+    let mut all = [0.0; MAX_LANES];
     numbers.store(&mut all);
     all[lane] += addend;
     T::load(&all)
@@ -250,7 +250,7 @@ fn add_to_lane<T: Lanes>(numbers: T, lane: usize, addend: f64) -> T {
 /// ∂Q/∂q of a single state: Q/q, or expm1(xδ)/x where the noise q is zero. (`rate` is x, `dt` is δ.)
 #[inline(always)]
 fn noise_derivative<T: Lanes>(rate: T, dt: T, noise: T, q: T) -> T {
-    let mut all = [0.0; MOST];
+    let mut all = [0.0; MAX_LANES];
     (q / noise).store(&mut all);
     for lane in 0..T::COUNT {
         if noise.lane(lane) == 0.0 {

@@ -84,7 +84,8 @@ impl Skeleton {
             let (own, other) = (self.of(k), longer.of(k));
             own.len() == other.len() && own.iter().zip(other).all(|(own, other)| own.meter == other.meter)
         };
-        2 * self.len() >= longer.len() && (self.one_row_steps && longer.one_row_steps || (0..self.len()).all(same_measurements))
+        2 * self.len() >= longer.len()
+            && (self.one_row_steps && longer.one_row_steps || (0..self.len()).all(same_measurements))
     }
 
     /// Empties the skeleton for another test.
@@ -181,6 +182,7 @@ impl Skeleton {
     /// Whether step `k` has the measurements of the step before.
     fn repeats(&self, k: usize) -> bool {
         let (before, current) = (self.of(k - 1), self.of(k));
-        before.len() == current.len() && before.iter().zip(current).all(|(before, current)| before.meter == current.meter)
+        before.len() == current.len()
+            && before.iter().zip(current).all(|(before, current)| before.meter == current.meter)
     }
 }

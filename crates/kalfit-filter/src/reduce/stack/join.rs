@@ -1,7 +1,7 @@
 //! Joins a phase with the rows of all later phases, for one test or for tests in lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: G, C, A the rows on σ")]
 
-use kalfit_lanes::{Lanes, MOST, interleaved};
+use kalfit_lanes::{Lanes, MAX_LANES, interleaved};
 use nalgebra::DMatrix;
 
 use crate::reduce::stack::phase::StackPhase;
@@ -55,7 +55,7 @@ pub(super) fn per_test<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
     for _ in 0..tests {
         all.push(Vec::with_capacity(numbers.len()));
     }
-    let mut one = [0.0; MOST];
+    let mut one = [0.0; MAX_LANES];
     for x in numbers {
         x.store(&mut one);
         for (own, x) in all.iter_mut().zip(one) {

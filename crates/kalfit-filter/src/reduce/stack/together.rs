@@ -1,6 +1,6 @@
 //! Tests with per-test designs, stacked in lanes together with the data of the tests.
 
-use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
+use kalfit_lanes::{Isa, Kernel, Lanes, MAX_LANES};
 use nalgebra::DMatrix;
 
 use crate::reduce::root::UNINFORMED;
@@ -56,7 +56,7 @@ fn stack_batch<T: Lanes>(
         array = rest;
     }
     let count = tests.len();
-    let mut residuals = [0.0; MOST];
+    let mut residuals = [0.0; MAX_LANES];
     residual.store(&mut residuals);
     let is_regular = array.is_regular(UNINFORMED);
     let factors = per_test(&array.packed(), count);

@@ -81,7 +81,8 @@ impl<'a> AssumedCovariance<'a> {
         let (m, n, c) = (M.nrows(), M.ncols(), MU.ncols());
         let width = c + noise.ncols();
         let row = |i: usize| DVector::from_fn(width, |j, _| if j < c { MU[(i, j)] } else { noise[(i, j - c)] });
-        let (mut informative, mut basis, mut parts): (Vec<usize>, Vec<DVector<f64>>, Vec<Vec<f64>>) = Default::default();
+        let (mut informative, mut basis, mut parts): (Vec<usize>, Vec<DVector<f64>>, Vec<Vec<f64>>) =
+            Default::default();
         for i in 0..m {
             let mut remainder = row(i);
             let size = remainder.norm();

@@ -88,7 +88,8 @@ impl Conditioned {
         let (WS, SP) = (&W * S, S * &entry.root);
         let relations =
             Relations { rows: &certain, rounding_deviation: rounding_deviation(&whole, r, &deviation), WS: &WS };
-        let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } = relations.certain_information(S, entry)?;
+        let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } =
+            relations.certain_information(S, entry)?;
         let C = &W * &SP * &V_B;
         let G = &W * &SP * &V_0;
         let T = WS.select_columns(entry.entering) - &C * &T_B;
@@ -174,7 +175,11 @@ struct Relations<'a> {
 }
 
 impl Relations<'_> {
-    fn certain_information(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<CertainInformation, ExactCombination> {
+    fn certain_information(
+        &self,
+        S: &DMatrix<f64>,
+        entry: &EstimateStart<'_>,
+    ) -> Result<CertainInformation, ExactCombination> {
         let rounding = |norms: &[f64]| {
             DMatrix::from_fn(self.rounding_deviation.len(), norms.len(), |i, j| self.rounding_deviation[i] * norms[j])
         };

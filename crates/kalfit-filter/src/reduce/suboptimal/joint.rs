@@ -60,7 +60,9 @@ pub(super) fn run(
         joint.update((&M, &assumed_M), &K, &root);
         for column in K.column_iter() {
             let states = &assumed.0.order.states;
-            gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(gain_entry(&column, n)));
+            gains.extend(
+                (0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(gain_entry(&column, n)),
+            );
         }
     }
     let JointMoments { sensitivity, mut root, .. } = joint;

@@ -52,7 +52,7 @@ pub struct FilterRunner {
 struct RunWorkspace {
     truth: Workspace,
     assumed: Workspace,
-    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; the columns of `smoothed` are x̂_0 and
+    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; the columns of `first` are x̂_0 and
     /// s̄_3.
     filtered: Vec<f64>,
     smoothed: Vec<f64>,
@@ -109,7 +109,14 @@ impl FilterRunner {
             work
         };
         let (truth, assumed) = (workspace(&self.truth), workspace(&self.assumed));
-        RunWorkspace { truth, assumed, filtered: Vec::new(), smoothed: Vec::new(), drift: Vec::new(), moved: Vec::new() }
+        RunWorkspace {
+            truth,
+            assumed,
+            filtered: Vec::new(),
+            smoothed: Vec::new(),
+            drift: Vec::new(),
+            moved: Vec::new(),
+        }
     }
 
     fn run_in(&self, test: &Test, scratch: &mut RunWorkspace) -> Result<Estimates, ReduceError> {
@@ -214,7 +221,9 @@ impl FilterRunner {
             }
             for (e, row) in moved.chunks_exact(2).zip(step.rows) {
                 let (gain, gain_of_first) = class.gains[2 * n * row..][..2 * n].split_at(n);
-                for (x, gain) in filtered.chunks_exact_mut(2).zip(gain).chain(smoothed.chunks_exact_mut(2).zip(gain_of_first)) {
+                for (x, gain) in
+                    filtered.chunks_exact_mut(2).zip(gain).chain(smoothed.chunks_exact_mut(2).zip(gain_of_first))
+                {
                     x[0] += gain * e[0];
                     x[1] += gain * e[1];
                 }

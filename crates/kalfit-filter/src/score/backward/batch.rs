@@ -218,7 +218,8 @@ impl<T: Lanes> BatchBack<T> {
         let width = 2 + if pass.posterior.wanted.equation { frame.n } else { 0 };
         let kinds =
             design.pattern().map_or([0; 3], |pattern| [pattern.columns.len(), pattern.pairs.len(), frame.driven.len()]);
-        let transition_adjoints = design.runs.iter().filter(|run| run.transition.is_some()).count() * kinds.iter().sum::<usize>();
+        let transition_adjoints =
+            design.runs.iter().filter(|run| run.transition.is_some()).count() * kinds.iter().sum::<usize>();
         let all = BatchAdjoints {
             lanes: T::COUNT,
             rows: vec![0.0; design.rows() * width * T::COUNT],

@@ -7,7 +7,7 @@
 //! ```
 #![expect(non_snake_case, reason = "the letters of the theory: P, K")]
 
-use kalfit_lanes::{Kernel, Lanes, MOST};
+use kalfit_lanes::{Kernel, Lanes, MAX_LANES};
 
 use crate::reduce::{
     Common, Design, DesignStep, Gains, Scan, Transition, advance, at, correct_mean, innovation, with_states,
@@ -58,7 +58,7 @@ impl Kernel for DataBackward<'_> {
         let slots = self.shared.response.slots.len();
         let mut totals = vec![0.0; self.tests.len() * slots];
         let mut pass = DataBackwardState::<T>::new(self.shared);
-        let mut lanes = [0.0; MOST];
+        let mut lanes = [0.0; MAX_LANES];
         for (tests, totals) in self.tests.chunks(T::COUNT).zip(totals.chunks_mut((T::COUNT * slots).max(1))) {
             pass.forward(self.shared, tests);
             pass.back(self.shared, tests);
@@ -103,7 +103,7 @@ struct Cursor {
 /// One number of each test, in lanes; lanes beyond the last test repeat the last test.
 #[inline(always)]
 fn in_lanes<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember<'_>) -> f64) -> T {
-    let mut lanes = [0.0; MOST];
+    let mut lanes = [0.0; MAX_LANES];
     for lane in 0..T::COUNT {
         lanes[lane] = number(&tests[lane.min(tests.len() - 1)]);
     }
@@ -143,7 +143,7 @@ impl<T: Lanes> DataBackwardState<T> {
                 }
             }
         }
-        let numbers: [&[f64]; MOST] = std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
+        let numbers: [&[f64]; MAX_LANES] = std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
         for (e, &(cell, d)) in self.e.chunks_exact_mut(T::COUNT).zip(shared.cells) {
             for lane in 0..T::COUNT {
                 e[lane] = numbers[lane][cell] - d;

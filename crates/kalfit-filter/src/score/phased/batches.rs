@@ -58,8 +58,11 @@ impl Scorer<'_> {
         batch: FilteredBatch<'_>,
         room: &mut ScoreWorkspace<'_>,
     ) -> Vec<(usize, Gradient)> {
-        let Some(columns) = lane_starts.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
-        let padded: Vec<Moments> = lane_starts.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
+        let Some(columns) = lane_starts.iter().map(|(.., smooth)| smooth.moments.columns).max() else {
+            return Vec::new();
+        };
+        let padded: Vec<Moments> =
+            lane_starts.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
         let later: Vec<TerminalAdjoint> = match lane_starts.iter().any(|(.., smooth)| smooth.later.is_some()) {
             true => lane_starts.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),

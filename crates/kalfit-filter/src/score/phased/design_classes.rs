@@ -62,7 +62,10 @@ impl PhasedScorer<'_> {
         let first_smoothed = self.begin(ensemble, first, &mut room.work)?;
         let begin = |numbers: &[usize]| {
             let mut room = self.room();
-            numbers.iter().map(|&number| self.member_start(ensemble, (first, number), &first_smoothed, &mut room)).collect::<Vec<_>>()
+            numbers
+                .iter()
+                .map(|&number| self.member_start(ensemble, (first, number), &first_smoothed, &mut room))
+                .collect::<Vec<_>>()
         };
         let member_start: Vec<Result<Option<MemberStart>, ReduceError>> = if numbers.len() <= TESTS_PER_TASK {
             begin(numbers)

@@ -23,7 +23,10 @@ impl Adjoints<'_> {
             return Ok(());
         }
         let rows = work.design.step(k).rows;
-        if rows.len() < 2 || self.pullback.pairs.is_empty() || !self.unwhiten_if_correlated(test, k, rows.clone(), work, bars)? {
+        if rows.len() < 2
+            || self.pullback.pairs.is_empty()
+            || !self.unwhiten_if_correlated(test, k, rows.clone(), work, bars)?
+        {
             return self.add_unwhitened(test, k, rows, work, bars);
         }
         let own = std::mem::take(&mut self.unwhitening.bars);
@@ -89,7 +92,12 @@ impl Adjoints<'_> {
             if let Some(tap) = pullback.pairs[c.pair] {
                 let scope =
                     Scope { numbers: test.numbers(c.row), texts: test.texts(c.row), step: dt, alpha: context.at.alpha };
-                pending.add(&context, tap, unwhitened.noise[c.i * m + c.j] + unwhitened.noise[c.j * m + c.i], &scope)?;
+                pending.add(
+                    &context,
+                    tap,
+                    unwhitened.noise[c.i * m + c.j] + unwhitened.noise[c.j * m + c.i],
+                    &scope,
+                )?;
             }
         }
         own.noise.clear();

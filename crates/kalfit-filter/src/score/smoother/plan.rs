@@ -80,7 +80,8 @@ impl PlanKey {
 
     /// Whether this key equals the key of the phases `pieces` bit for bit.
     pub(crate) fn equals(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> bool {
-        let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(key_matrices(b)).all(|(a, b)| same_bits(a, b));
+        let phase =
+            |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(key_matrices(b)).all(|(a, b)| same_bits(a, b));
         self.phases.len() == pieces.len()
             && same_bits(&self.covariates, &laws.covariates)
             && self.phases.iter().zip(pieces).all(phase)
@@ -144,7 +145,9 @@ impl SmootherPlan {
             let prior_lower = whitener(&(&totals[i].factor * &prior.root));
             let prior_factor = whitened(&prior_lower, &totals[i].factor);
             let left = whitened(&prior_lower, &(&totals[i].columns - &totals[i].factor * &prior.directions));
-            let inherits = previous_state.as_ref().map(|previous_state| InheritPlan::new(&pieces[i], previous_state, (&prior_factor, &left)));
+            let inherits = previous_state
+                .as_ref()
+                .map(|previous_state| InheritPlan::new(&pieces[i], previous_state, (&prior_factor, &left)));
             if i == 0 {
                 plan.constant -= 0.5 * (log_determinant(&prior_lower) + left.norm_squared());
             }
@@ -231,7 +234,11 @@ impl LinkPlan {
 impl InheritPlan {
     /// Computes -NTP + Σ m(x + PT'm)', with N = R'S⁻¹R of the prior of σ, over the directions m of r and x of the last
     /// state of the phase before.
-    fn new(piece: &PhaseReduction, previous_state: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
+    fn new(
+        piece: &PhaseReduction,
+        previous_state: &PriorRoot,
+        (factor, left): (&DMatrix<f64>, &DMatrix<f64>),
+    ) -> InheritPlan {
         let T = &inherited(piece).transition;
         let cross_covariance = &previous_state.root * (T * &previous_state.root).transpose();
         let directions = factor.transpose() * left;

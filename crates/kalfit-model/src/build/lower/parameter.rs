@@ -48,34 +48,34 @@ impl ParameterBuilder {
     }
 
     fn check(&self, role: Role, what: &str) -> Result<(), BuildError> {
-        let given = match self.value {
+        let value_or_start = match self.value {
             Value::Fixed(value) => Some(value),
             Value::Free { start } => start,
         };
-        let wrong = |what: String, found: f64, expected: String| Err(BuildError::OutOfRange { what, found, expected });
-        for value in given.into_iter().chain(self.levels.iter().map(|(_, value)| *value)) {
+        let out_of_range = |what: String, found: f64, expected: String| Err(BuildError::OutOfRange { what, found, expected });
+        for value in value_or_start.into_iter().chain(self.levels.iter().map(|(_, value)| *value)) {
             role.check(value, what)?;
             if let Some(bound) = self.lower.filter(|bound| value < *bound) {
-                return wrong(what.to_owned(), value, format!("at least {bound}, its lower bound"));
+                return out_of_range(what.to_owned(), value, format!("at least {bound}, its lower bound"));
             }
             if let Some(bound) = self.upper.filter(|bound| value > *bound) {
-                return wrong(what.to_owned(), value, format!("at most {bound}, its upper bound"));
+                return out_of_range(what.to_owned(), value, format!("at most {bound}, its upper bound"));
             }
         }
         if let Value::Free { start: Some(start) } = self.value
             && role > Role::Coefficient
             && start <= 0.0
         {
-            return wrong(format!("the start of {what}"), start, "more than 0".to_owned());
+            return out_of_range(format!("the start of {what}"), start, "more than 0".to_owned());
         }
         for (which, bound) in [("lower", self.lower), ("upper", self.upper)] {
             if let Some(found) = bound.filter(|bound| !bound.is_finite()) {
-                return wrong(format!("the {which} bound of {what}"), found, "a finite number".to_owned());
+                return out_of_range(format!("the {which} bound of {what}"), found, "a finite number".to_owned());
             }
         }
         match (self.lower, self.upper) {
             (Some(lower), Some(upper)) if upper <= lower => {
-                wrong(format!("the upper bound of {what}"), upper, format!("more than the lower one, {lower}"))
+                out_of_range(format!("the upper bound of {what}"), upper, format!("more than the lower one, {lower}"))
             }
             _ => Ok(()),
         }
