@@ -17,7 +17,7 @@ use kalfit_algebra::parts::{ColumnWork, by_column_blocks};
 use kalfit_algebra::rows::Rows;
 
 /// Folds u'Wu of each class, for every column u of `directions`, by `of` into parts that begin as `start()`, like
-/// [`map_classes`](crate::estimate::map_classes).
+/// `map_classes`.
 pub fn map_forms<T: Send>(
     classes: &Classes,
     (regressors, point): (&Regressors, &Point),

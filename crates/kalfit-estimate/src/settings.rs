@@ -121,7 +121,7 @@ pub trait Progress: Send {
     /// Called after each accepted step.
     fn step(&mut self, step: Step);
 
-    /// True once the search is to stop, with [`Stop::Interrupted`](crate::estimate::Stop::Interrupted). It is called
+    /// True once the search is to stop, with `Stop::Interrupted`. It is called
     /// between steps; before each filter run for intervals by profile likelihood, which intervals from standard errors
     /// then replace; and while the expected information is computed, which the observed information then replaces.
     fn stops(&self) -> bool {
@@ -144,7 +144,7 @@ pub enum Stop {
     Certified,
     /// The limit of passes was reached first.
     PassLimit,
-    /// [`Progress::stops`](crate::estimate::Progress::stops) returned true.
+    /// `Progress::stops` returned true.
     Interrupted,
     /// No step raises ℓ, yet the certificate does not hold.
     Stalled,

@@ -28,7 +28,7 @@ const MAX_RAISED: usize = 8;
 const MIN_RISE: f64 = 1e-6;
 
 /// Estimates α, μ and Σ from tests, in any number of phases. With no free values it is
-/// [`estimate::fit`](crate::estimate::fit) on the reductions.
+/// `estimate::fit` on the reductions.
 pub fn fit(
     model: &PhasedModel,
     labels: &Labels,

@@ -91,7 +91,7 @@ pub struct Component {
     pub(crate) held: Vec<(usize, usize, usize)>,
     /// (i, j, slot), i ≥ j: covariance of the driving noise.
     pub(crate) noise: Vec<(usize, usize, usize)>,
-    /// Slot of the input of each state, in [`Dynamics::inputs`].
+    /// Slot of the input of each state, in `Dynamics::inputs`.
     pub inputs: Vec<Option<usize>>,
     /// m × m by rows: true where entry (i, j) of exp(Fδ) can differ from entry (i, j) of the identity.
     pub(crate) closure: Vec<bool>,

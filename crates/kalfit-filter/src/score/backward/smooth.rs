@@ -26,12 +26,12 @@ pub(crate) struct SmoothedTest {
     pub(crate) variance: Vec<f64>,
 }
 
-/// E[x] and Var[x] at one time, given all data of the test.
+/// E\[x\] and Var\[x\] at one time, given all data of the test.
 #[derive(Debug, Clone, Default)]
 pub struct Smoothed {
-    /// E[x], n numbers.
+    /// E\[x\], n numbers.
     pub mean: Vec<f64>,
-    /// Var[x], n × n.
+    /// Var\[x\], n × n.
     pub variance: Vec<f64>,
 }
 
