@@ -169,7 +169,8 @@ impl<T: Lanes> Part for RotateSomeLanes<'_, T> {
             row.store(&mut b);
             for lane in (0..T::COUNT).filter(|&lane| s.lane(lane) != 0.0) {
                 let lane_rotation = Rotation { c: c.lane(lane), s: s.lane(lane), length: length.lane(lane) };
-                (a[lane], b[lane]) = if at == 0 { (lane_rotation.length, 0.0) } else { lane_rotation.turn(a[lane], b[lane]) };
+                (a[lane], b[lane]) =
+                    if at == 0 { (lane_rotation.length, 0.0) } else { lane_rotation.turn(a[lane], b[lane]) };
             }
             (*pivot, *row) = (T::load(&a), T::load(&b));
         }

@@ -126,7 +126,10 @@ impl<T: Real> Part for IdentityPlus<'_, T> {
                 by_column_blocks(i, &mut Sum::<T, false> { y: pivot_row, a, x, count: rows.nrows() });
             }
             if i > 0 {
-                by_column_blocks(i, &mut Sum::<T, true> { y: pivot_row, a: (&rows_above[i..], w), x: rows_above, count: i });
+                by_column_blocks(
+                    i,
+                    &mut Sum::<T, true> { y: pivot_row, a: (&rows_above[i..], w), x: rows_above, count: i },
+                );
             }
             let pivot = pivot_row[i].maximum(T::splat(1.0)).root(); // rounding must not make the pivot less than one
             let inverse = T::splat(1.0) / pivot;

@@ -50,7 +50,11 @@ fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let all_known = a.iter().all(|x| x.is_finite());
     let found = SymmetricEigen::new(symmetric());
     let all_finite = found.eigenvalues.iter().chain(found.eigenvectors.iter()).all(|x| x.is_finite());
-    if all_finite || !all_known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { jacobi(symmetric()) }
+    if all_finite || !all_known {
+        (found.eigenvalues.as_slice().to_vec(), found.eigenvectors)
+    } else {
+        jacobi(symmetric())
+    }
 }
 
 /// Largest number of sweeps of rotations; the method converges quadratically, after some six to ten sweeps.
@@ -65,7 +69,8 @@ fn jacobi(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     if size > 0.0 {
         a /= size;
         for _ in 0..MAX_SWEEPS {
-            let largest_off_diagonal: f64 = (0..n).flat_map(|i| (0..i).map(move |k| (i, k))).map(|at| a[at].abs()).fold(0.0, f64::max);
+            let largest_off_diagonal: f64 =
+                (0..n).flat_map(|i| (0..i).map(move |k| (i, k))).map(|at| a[at].abs()).fold(0.0, f64::max);
             if largest_off_diagonal <= f64::EPSILON * f64::EPSILON {
                 break;
             }

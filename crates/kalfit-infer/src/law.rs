@@ -266,10 +266,7 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
     let from_eigen = || {
         let (values, vectors) = symmetric::eigen(&scaled());
-        symmetric::from_eigen(
-            &vectors,
-            values.iter().map(|&v| if v > MIN_SCALED_EIGENVALUE { v.recip() } else { 0.0 }),
-        )
+        symmetric::from_eigen(&vectors, values.iter().map(|&v| if v > MIN_SCALED_EIGENVALUE { v.recip() } else { 0.0 }))
     };
     let mut inverse = Regular::within(scaled()).map_or_else(from_eigen, Regular::into_inverse);
     for (j, mut column) in inverse.column_iter_mut().enumerate() {

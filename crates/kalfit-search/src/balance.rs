@@ -8,10 +8,10 @@ use crate::scales::{measures, time_constants};
 use crate::tries::{TRIAL_FACTOR, tried};
 use kalfit_estimate::Progress;
 
-/// Powers of the factor tried for levels of one kind alone.
+/// Powers of [`TRIAL_FACTOR`] tried where levels of one kind alone are unknown.
 const POWERS_ALONE: [i32; 7] = [-3, -2, -1, 0, 1, 2, 3];
-/// Powers tried for levels of measurements in combination: these are seldom far above the differences of successive
-/// values.
+/// Powers tried for levels of measurements in combination: noise of a measurement is seldom far above the differences
+/// of successive values.
 const MEASUREMENT_POWERS: [i32; 5] = [-4, -2, -1, 0, 1];
 /// Powers tried for levels of motion in combination: the data's units are not those of every state.
 const MOTION_POWERS: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
@@ -75,7 +75,7 @@ fn kinds(small: &ProfileLikelihood<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<u
     (0..slots.len()).filter(level).partition(|s| measures(small.model, slots[*s].parameter))
 }
 
-/// Points of a table, row by row, that are higher than their neighbours; of equal neighbours the first.
+/// Indices, row by row, of the entries of a table that are higher than all neighbours; of equal neighbours the first.
 fn peaks(heights: &[f64], columns: usize) -> Vec<usize> {
     let peak = |&k: &usize| {
         let (row, column) = (k / columns, k % columns);

@@ -1,7 +1,7 @@
 //! Sets of values that can move in one run of the filters.
 
-/// Sets of values that no test has in common, among `tests` tests. `values`: each value with its tests, or with `None`
-/// where it cannot share a set.
+/// Sets of values without a common test, among `tests` tests. `values`: (value, indices of the tests that depend on the
+/// value), with `None` for a value that cannot share a set.
 pub(super) fn colours<'t>(values: impl Iterator<Item = (usize, Option<&'t [usize]>)>, tests: usize) -> Vec<Vec<usize>> {
     let mut colours: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
     for (s, own) in values {

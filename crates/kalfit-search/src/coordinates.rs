@@ -1,14 +1,15 @@
 //! The coordinates in which α is sought: logarithms of positive values, other values as they are; and their bounds.
 //!
-//! ℓ is analytic in a variance v ≥ 0, not in its standard deviation or its logarithm: near zero a noise level moves in its variance,
-//! where zero is a bound like any other (theory §13), and elsewhere where ℓ is nearer to a quadratic in that.
+//! ℓ is analytic in a variance v ≥ 0, not in √v or log v. So a noise level moves in the variance near zero, where zero
+//! is a bound like any other (theory §13), and wherever ℓ is nearer to a quadratic in the variance than in the
+//! logarithm.
 
 use crate::scales::time_constants;
 use kalfit_model::{Expression, PhasedModel, Site, Slots};
 
-/// Least size of a value that is no logarithm, for the length of its steps.
+/// Least size to which the step of a value is relative, where the value itself is sought, not the logarithm.
 const LEAST: f64 = 1e-2;
-/// Least curvature of ℓ in a variance, relative to its slope; a smaller one is raised to this.
+/// Least curvature of ℓ in a variance, relative to |slope|; a smaller curvature is replaced by this one.
 const STRAIGHT: f64 = 1e-3;
 
 /// The way in which one free value is sought.
@@ -16,9 +17,9 @@ const STRAIGHT: f64 = 1e-3;
 pub struct Coordinate {
     /// Whether the logarithm of the value is sought.
     pub log: bool,
-    /// Exponent k of a noise level, whose k-th power is its variance; `None` for any other value.
+    /// Exponent k of a noise level θ with variance proportional to θ^k; `None` for any other value.
     pub(crate) level: Option<f64>,
-    /// Closed bounds of the value itself; a logarithm's lower bound is at least zero.
+    /// Closed lower bound of the value itself; at least zero where the logarithm is sought.
     pub lower: f64,
     /// Closed upper bound of the value itself; infinite where there is none.
     pub upper: f64,
@@ -52,7 +53,7 @@ impl Coordinate {
         if self.log { value } else { 1.0 }
     }
 
-    /// A step of length `part` for a logarithm; for another value, of this part of its size.
+    /// Length of a step in the coordinate: `part` for a logarithm, `part` × the size of another value.
     pub fn step(&self, value: f64, part: f64) -> f64 {
         if self.log { part } else { part * value.abs().max(LEAST) }
     }
@@ -63,14 +64,14 @@ impl Coordinate {
         moved.clamp(self.lower, self.upper)
     }
 
-    /// The value of a noise level after a step z of its variance v: v (1 + kz), which near z = 0 is the same step of the logarithm.
+    /// The value of a noise level θ after a step z that makes the variance v (1 + kz); near z = 0, log θ changes by z.
     pub(crate) fn moved_as_variance(&self, value: f64, step: f64) -> f64 {
         let exponent = self.level.unwrap_or(1.0);
         let moved = value * (1.0 + exponent * step).max(0.0).powf(exponent.recip());
         moved.clamp(self.lower, self.upper)
     }
 
-    /// A few values over the whole range, its ends among them.
+    /// Five values over the range, both ends included.
     pub(crate) fn spread(&self, value: f64) -> Vec<f64> {
         let size = if value == 0.0 { 1.0 } else { value.abs() };
         let end = |bound: f64, other: f64| if bound.is_finite() { bound } else { other };
@@ -95,30 +96,30 @@ impl Coordinate {
         }
     }
 
-    /// Whether the value stands at its lower bound.
+    /// Whether the value is at the lower bound.
     pub(crate) fn at_lower(&self, value: f64) -> bool {
         value <= self.lower
     }
 
-    /// Whether the value stands at its upper bound.
+    /// Whether the value is at the upper bound.
     pub(crate) fn at_upper(&self, value: f64) -> bool {
         value >= self.upper
     }
 
-    /// Whether the value stands at a bound beyond which ℓ rises with this slope.
+    /// Whether the value is at a bound beyond which ℓ rises with the given slope.
     pub fn is_held(&self, value: f64, slope: f64) -> bool {
         (self.at_lower(value) && slope < 0.0) || (self.at_upper(value) && slope > 0.0)
     }
 }
 
-/// The information on the variance v of a level in steps z that make it v (1 + kz), from that on its logarithm u: -∂²ℓ/∂z² is
-/// -∂²ℓ/∂u² + k ∂ℓ/∂u.
+/// -∂²ℓ/∂z² = -∂²ℓ/∂u² + k ∂ℓ/∂u for steps z that make the variance of a level v (1 + kz), where u is the logarithm of
+/// the level and `information` is -∂²ℓ/∂u².
 pub(super) fn in_variance(information: f64, exponent: f64, slope: f64) -> f64 {
     let bend = exponent * slope;
     (information + bend).max(STRAIGHT * bend.abs())
 }
 
-/// Whether two points agree, to this part of each value.
+/// Whether two points agree in each value, up to the relative difference `part`.
 pub fn alike(a: &[f64], b: &[f64], part: f64) -> bool {
     a.iter().zip(b).all(|(a, b)| (a - b).abs() <= part * a.abs().max(b.abs()))
 }
@@ -132,7 +133,7 @@ fn noises(model: &PhasedModel) -> Vec<&Expression> {
     all.filter(|(site, _)| is_noise(*site)).map(|(_, expression)| expression).collect()
 }
 
-/// k where the variances that a level stands in go as its k-th power; 1 where they go otherwise.
+/// Exponent k of variances proportional to θ^k that contain a level θ, within 1 to 2; 1 where no power holds.
 fn exponent(noises: &[&Expression], parameter: usize) -> f64 {
     let powers = noises.iter().map(|expression| expression.exponent(parameter).unwrap_or(1.0));
     powers.filter(|power| *power > 0.0).fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)

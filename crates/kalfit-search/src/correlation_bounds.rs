@@ -4,7 +4,8 @@
 //! least over all rows. So t = c/e is sought between -1 and 1: every t is feasible, whatever the variances, and the
 //! edge is a bound like any other.
 //!
-//! A known covariance bounds the variances of its noises from below: a bound of the level.
+//! A known covariance c bounds the variances of the two noises from below, V_i ≥ c²/V_j: a lower bound of the noise
+//! level.
 //!
 //! ```text
 //! c = t e(α)      ∂ℓ/∂t = e ∂ℓ/∂c      ∂ℓ/∂α at fixed t = ∂ℓ/∂α + t ∂ℓ/∂c ∂e/∂α
@@ -19,16 +20,16 @@ use kalfit_model::{Label, Test};
 
 /// Maximal number of rows with different cells over which an edge is computed.
 const MOST_ROWS: usize = 4096;
-/// Relative distance that a covariance keeps from the edge, because of rounding.
+/// Relative margin between a covariance and the edge, because of rounding.
 const WITHIN: f64 = 1e-9;
-/// Part of the edge to which a start beyond it is brought.
+/// Part of the edge at which a start beyond the edge is placed.
 const INSIDE: f64 = 0.95;
 
-/// All covariances of noises that are sought as parts of their bounds.
+/// All covariances of noises that are sought relative to the edge.
 #[derive(Debug, Clone, Default)]
 pub struct CorrelationBounds(Vec<CorrelationBound>);
 
-/// A covariance of noises that is sought as a part of its bound, the edge.
+/// A covariance of noises that is sought relative to a bound, the edge.
 #[derive(Debug, Clone)]
 struct CorrelationBound {
     slot: usize,
@@ -38,7 +39,7 @@ struct CorrelationBound {
     rows: Vec<(Vec<f64>, Vec<Label>)>,
 }
 
-/// The edge e and its derivatives by the other values.
+/// The edge e, and the derivatives of e by the other values of α.
 struct BoundValue {
     slot: usize,
     edge: f64,
@@ -46,7 +47,7 @@ struct BoundValue {
 }
 
 impl CorrelationBounds {
-    /// The covariances of a model that have no given bounds and occur nowhere else.
+    /// The free covariances of a model without given bounds, whose parameter occurs in no other expression.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest]) -> CorrelationBounds {
         let parameters = &model.shared().parameters;
         let open = |&p: &usize| {
@@ -84,12 +85,12 @@ impl CorrelationBounds {
         least.into_iter().filter(|(_, value)| *value > 0.0).collect()
     }
 
-    /// Whether a slot is a covariance sought as a part of its edge.
+    /// Whether a slot is a covariance that is sought relative to the edge.
     pub fn has(&self, slot: usize) -> bool {
         self.0.iter().any(|edge| edge.slot == slot)
     }
 
-    /// The values of α for these sought values.
+    /// The values of α at the given sought values.
     pub(crate) fn values(&self, sought: &[f64], alpha: &Alpha) -> Vec<f64> {
         let mut values = sought.to_vec();
         for edge in &self.0 {
@@ -98,7 +99,7 @@ impl CorrelationBounds {
         values
     }
 
-    /// The sought values for these values of α; a start beyond the edge is brought inside.
+    /// The sought values at the given values of α; a covariance beyond the edge becomes [`INSIDE`] times the edge.
     pub(crate) fn sought(&self, values: &[f64], alpha: &Alpha) -> Vec<f64> {
         let mut sought = values.to_vec();
         for edge in &self.0 {
@@ -109,7 +110,7 @@ impl CorrelationBounds {
         sought
     }
 
-    /// Slots of the covariances of noises whose variance depends on a parameter.
+    /// Slots of the bounded covariances of noises of which one variance depends on a parameter.
     pub(crate) fn beside(&self, parameter: usize) -> Vec<usize> {
         let of =
             |edge: &&CorrelationBound| edge.variances.iter().any(|variance| variance.exponent(parameter) != Some(0.0));
@@ -185,7 +186,7 @@ impl CorrelationBound {
         Some(CorrelationBound { slot: slots.common(parameter)?, variances, factor, rows })
     }
 
-    /// The least edge and the row that has it; `None` where no row has the covariance.
+    /// The least edge over all rows, and the index of that row; `None` where no row has the covariance.
     fn least(&self, alpha: &Alpha) -> Option<(f64, usize)> {
         let edge = |row: usize| -> Option<f64> {
             let scope = self.scope(row, alpha);
@@ -220,7 +221,7 @@ impl CorrelationBound {
     }
 }
 
-/// The least level θ with θ^k f ≥ c²/V, row by row, where no other value is free.
+/// (Slot of θ, least level θ with θ^k f ≥ c²/V) for each row; empty where another value than θ is free.
 fn known<'a>(
     own: &Expression,
     (other, covariance): (&Expression, &Expression),
@@ -252,7 +253,7 @@ fn known<'a>(
     rows(&all, evidence).unwrap_or_default().into_iter().filter_map(one).collect()
 }
 
-/// The covariance of two noises, with their variances.
+/// Covariance and variances of two noises.
 struct NoisePair<'a> {
     covariance: &'a Expression,
     variances: [&'a Expression; 2],
@@ -281,8 +282,8 @@ fn is_multiple(covariance: &Expression, c: usize) -> bool {
     covariance.exponent(c) == Some(1.0) && !covariance.any(&mut |part| is_one_sided(part))
 }
 
-/// The rows of tests, each once, as far as their cells differ where these expressions read them; `None` where there are
-/// too many.
+/// The rows of tests, as (numbers, texts), without repetitions; numbers that no expression reads are zero. `None` where
+/// there are more than [`MOST_ROWS`] rows.
 fn rows<'a>(
     expressions: &[&Expression],
     evidence: impl Iterator<Item = &'a Evidence>,
@@ -314,7 +315,7 @@ mod tests {
     use super::*;
     use kalfit_model::build::{Formula, constant, free, measurement, name};
 
-    /// Two instruments with noise levels s and 2r and this covariance of their noises.
+    /// Two instruments with noise levels s and 2r, and a given covariance of the two noises.
     fn instruments(covariance: Formula) -> (PhasedModel, Slots, Vec<PhasedTest>) {
         let model = kalfit_model::Model::builder("")
             .state(constant("level"))

@@ -16,21 +16,21 @@ const STEP_RANGE: [f64; 2] = [1e-6, 3e-2];
 /// Maximal number of times that steps are made longer or shorter.
 const MAX_ATTEMPTS: usize = 5;
 
-/// What differences are taken of, and how.
+/// Input of the differences: likelihood, point, dependences, and one or two sides.
 pub(super) struct Differences<'s> {
     pub(super) objective: &'s ProfileLikelihood<'s>,
     pub(super) iterate: &'s ProfilePoint,
     pub(super) touching: &'s JacobianSparsity,
-    /// Differences are taken to both sides, not to one.
+    /// Whether differences are two-sided.
     pub(super) central: bool,
 }
 
-/// The columns of values that no test has in common.
+/// Columns of -∂²ℓ/∂α∂(α, μ, Σ) for the values of one colour, which have no common test.
 #[derive(Default)]
 pub(super) struct ColourColumns {
-    /// -∂²ℓ/∂α∂α, by (other value, value).
+    /// -∂²ℓ/∂α∂α, by (row: any value, column: value of the colour).
     pub(super) own: BTreeMap<(usize, usize), f64>,
-    /// -∂²ℓ/∂α∂(μ, Σ) along the tangent basis, by value.
+    /// -∂²ℓ/∂α∂(μ, Σ) along the tangent basis, as (value of the colour, 1 × m).
     pub(super) cross: Vec<(usize, RowDVector<f64>)>,
 }
 
@@ -70,7 +70,7 @@ impl Differences<'_> {
         columns
     }
 
-    /// The columns of a colour from the two sides.
+    /// The columns of a colour from the gradients on the two sides.
     fn between(&self, colour: &[usize], sides: &[FixedLawPoint; 2]) -> ColourColumns {
         let Differences { objective, touching, .. } = *self;
         let width = widths(objective, colour, sides);
@@ -162,7 +162,7 @@ fn moved_to_side(
     values
 }
 
-/// First points that [`Differences::columns`] evaluates about some values, where all tests depend on each of these.
+/// First points that [`Differences::columns`] evaluates around given values, where all tests depend on every value.
 pub(crate) fn first_points(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],

@@ -3,7 +3,7 @@
 use kalfit_estimate::FitError;
 use kalfit_filter::reduce::{GroupingError, ReduceError};
 
-/// Why there is no fit.
+/// Reason why there is no fit of α, μ and Σ.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DynamicError {
     /// A test has no reduction, whatever α is tried.
@@ -15,8 +15,8 @@ pub enum DynamicError {
     /// Tests cannot be grouped.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
-    /// Parameters are free, and phases are put together by their marginals: what would be maximised is no likelihood of
-    /// α.
+    /// Parameters are free, and phases are put together by their marginals: the maximised function would be no
+    /// likelihood of α.
     #[error("`{parameter}` is free, and `marginal` is for known parameters: found {free} free values, expected none")]
     Marginal {
         /// The first free parameter.
@@ -36,7 +36,7 @@ pub enum DynamicError {
         /// The first free parameter.
         parameter: String,
     },
-    /// A reduction is for one value of each parameter; it cannot follow a free one.
+    /// A test is given as a reduction, which holds for one value of each parameter, while a parameter is free.
     #[error(
         "test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free"
     )]
@@ -51,7 +51,7 @@ pub enum DynamicError {
 }
 
 impl DynamicError {
-    /// What to do about it.
+    /// A hint at what to do about the error.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             DynamicError::Reduce(error) => error.hint(),

@@ -1,6 +1,6 @@
-//! Scores through exact measurements (theory §13): how C and g of Cξ = g depend on α is found by differences, with
-//! everything else of a test and the law of ξ unchanged. The backward pass gives the rest; for it, exact measurements
-//! are only a condition on ξ.
+//! Scores through exact measurements (theory §13): the derivatives by α of C and g in Cξ = g come from differences,
+//! with the rest of a test and the law of ξ unchanged. The backward pass gives the rest of the score: there, exact
+//! measurements are only a condition on ξ.
 
 use rayon::prelude::*;
 

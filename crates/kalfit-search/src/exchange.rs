@@ -2,17 +2,18 @@
 
 use kalfit_model::{Expression, Initial, Linear, Model, Motion, Site, State};
 
-/// Exchange of two processes of one kind: their states, and the parameters at the same places of them.
+/// Exchange of two processes of one kind: pairs of states, and pairs of parameters at the same places in the two
+/// processes.
 #[derive(Debug)]
 pub(super) struct Exchange {
     states: Vec<(usize, usize)>,
-    /// Pairs of parameters by index, without those that both processes share.
+    /// Pairs of parameter indices, without parameters that both processes share.
     pub(super) parameters: Vec<(usize, usize)>,
 }
 
 impl Exchange {
-    /// The exchange of two states, and of the hidden states that drive each of them alone; `None` where they are not of
-    /// one kind, or share something that would have to become something else.
+    /// The exchange of two states, and of the hidden states that drive each of them alone; `None` where the states are
+    /// not of one kind, or where a parameter would have to change places with several.
     pub(super) fn of(model: &Model, i: usize, j: usize) -> Option<Exchange> {
         let (mut states, mut pairs) = (vec![(i, j)], Vec::new());
         let mut matched = 0;
@@ -63,17 +64,17 @@ impl Exchange {
     }
 }
 
-/// The state that this one is exchanged for, or itself.
+/// The state for which `state` is exchanged; `state` if there is none.
 fn place(states: &[(usize, usize)], state: usize) -> usize {
     partner(states, state).unwrap_or(state)
 }
 
-/// The other index of the pair that this index belongs to.
+/// The other index of the pair that contains `index`; `None` where no pair does.
 fn partner(pairs: &[(usize, usize)], index: usize) -> Option<usize> {
     pairs.iter().find_map(|&(a, b)| if a == index { Some(b) } else { (b == index).then_some(a) })
 }
 
-/// Adds pairs of parameters at the same places of two states, and pairs of states that drive one of them each; `None`
+/// Adds the pairs of parameters at the same places of two states, and the pairs of states that drive the two; `None`
 /// where the states are of different kinds.
 fn match_states(a: &State, b: &State, states: &mut Vec<(usize, usize)>, pairs: &mut Vec<(usize, usize)>) -> Option<()> {
     match (&a.motion, &b.motion) {
@@ -96,8 +97,8 @@ fn match_states(a: &State, b: &State, states: &mut Vec<(usize, usize)>, pairs: &
     }
 }
 
-/// Adds the pairs from two linear forms. If each form has just one state that the other has not, these two are a pair:
-/// the hidden rates of processes of second order, say.
+/// Adds the pairs from two linear forms. If each form has one state that the other form lacks, the two states are a
+/// pair, such as the hidden rates of two processes of second order.
 fn match_forms(
     a: &Linear,
     b: &Linear,

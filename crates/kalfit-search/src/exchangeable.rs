@@ -1,17 +1,17 @@
-//! Exchangeable parts of a model: two processes of one kind that are measured in the same way. Exchanging their
-//! parameters, and with them their hidden states, changes nothing. So ends that differ by an exchange are one end, and
-//! two coinciding processes are one process with the sum of their variances.
+//! Exchangeable parts of a model: two processes of one kind that are measured in the same way. Exchanging the
+//! parameters and hidden states of the two processes leaves ℓ unchanged. So ends that differ by an exchange are one
+//! end, and two coinciding processes are one process with the sum of their variances.
 
 use crate::Coordinate;
 use crate::exchange::Exchange;
 use crate::scales::time_constants;
 use kalfit_model::{PhasedModel, Slots};
 
-/// Two processes of one kind whose free values, place by place, may be exchanged.
+/// Two processes of one kind whose free values may be exchanged, pair by pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExchangeablePair {
-    /// Slots of the two processes: (of the one, of the other). Time constants, which distinguish the processes, come
-    /// first.
+    /// Pairs (slot of the one process, slot of the other process). Time constants, which distinguish the processes,
+    /// come first.
     pub pairs: Vec<(usize, usize)>,
 }
 
@@ -66,7 +66,7 @@ impl ExchangeablePair {
         values
     }
 
-    /// Exchanges the two processes where their values are not in order.
+    /// Exchanges the two processes if the first pair of different values is not in ascending order.
     fn order(&self, values: &mut [f64]) {
         let first = self.pairs.iter().find(|(s, t)| values[*s] != values[*t]);
         if first.is_some_and(|(s, t)| values[*s] > values[*t]) {
@@ -74,18 +74,18 @@ impl ExchangeablePair {
         }
     }
 
-    /// The level that is at zero where the two are [merged](ExchangeablePair::merged).
+    /// Slot of the level that is zero after the two processes are [merged](ExchangeablePair::merged).
     pub(crate) fn freed(&self, coordinates: &[Coordinate]) -> Option<usize> {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_some())
     }
 
-    /// A time constant of the process that is at zero there.
+    /// Slot of a time constant of the process whose level is zero after the two processes are merged.
     pub(crate) fn shape(&self, coordinates: &[Coordinate]) -> Option<usize> {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_none() && coordinates[t].log)
     }
 
-    /// Where the two coincide, the values with one process that has the variance of both and a shape between theirs,
-    /// and the other process at zero; `None` elsewhere.
+    /// The values with two coinciding processes merged: one process has the sum of both variances and time constants
+    /// between those of both, and the other process is at zero; `None` where the two do not coincide.
     pub(crate) fn merged(&self, values: &[f64], coordinates: &[Coordinate]) -> Option<Vec<f64>> {
         let (levels, shapes): (Vec<_>, Vec<_>) =
             self.pairs.iter().copied().partition(|(s, _)| coordinates[*s].level.is_some());
@@ -109,7 +109,7 @@ impl ExchangeablePair {
     }
 }
 
-/// The values with all exchangeable processes in order.
+/// The values with the processes of each exchangeable pair in ascending order of the first different value.
 pub fn ordered(twins: &[ExchangeablePair], values: &[f64]) -> Vec<f64> {
     let mut values = values.to_vec();
     for _ in 0..twins.len() {

@@ -18,11 +18,11 @@ use kalfit_model::{PhasedModel, Population, Slots};
 
 /// Relative difference up to which log-likelihoods are equal.
 const ROUNDING: f64 = 1e-11;
-/// Information on a level's logarithm below which the level, as one at zero, is tried at a larger size.
+/// Information on the logarithm of a level below which a larger size is tried, as for a level at zero.
 const MIN_INFORMATION: f64 = 1e-2;
-/// That size, relative to the former size of the level or to the one that the data suggest.
+/// Size at which such a level is tried, relative to the former size or, if larger, the size that the data suggest.
 const RAISED_SIZE: f64 = 0.3;
-/// Maximal number of levels tried in this way.
+/// Maximal number of levels that are tried at a larger size.
 const MAX_RAISED: usize = 8;
 /// Rise of ℓ above the best certified end from which on an uncertified end is worth another search.
 const MIN_RISE: f64 = 1e-6;
@@ -58,8 +58,8 @@ pub fn fit(
     fit_at_end(&objective, best, (others, explored, unbounded))
 }
 
-/// Estimates α, μ and Σ from remote tests, by one search from these start values; the tests suggest the sizes `units`
-/// of the values.
+/// Estimates α, μ and Σ from remote tests, by one search from the start values `start`; `units`: sizes of the values
+/// that the tests suggest.
 pub fn fit_remote(
     model: &PhasedModel,
     (slots, settings): (&Slots, &Settings),
@@ -71,8 +71,8 @@ pub fn fit_remote(
     fit_at_end(&objective, end, (Vec::new(), Explored::No, Vec::new()))
 }
 
-/// The ends of the searches: from all starts, from the exploration beyond them, and from what may lead on; with the
-/// extent of the exploration and the first error of a start.
+/// The ends of all searches (from the starts, from the exploration, and once more from a high uncertified end), the
+/// extent of the exploration, and the first error of a search from a start.
 fn all_ends(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
@@ -86,8 +86,8 @@ fn all_ends(
     Ok((ends, explored, first_error))
 }
 
-/// Searches once more from an end without a certificate that is higher than the best one with it: steps that failed on
-/// the way there, or steps that were used up, may lead on from a fresh start. If they do not, all stays as it was.
+/// Searches once more from the highest uncertified end above the best certified end, if there is one: a search that
+/// stalled or used up all steps may lead on from a fresh start.
 fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
     if progress.stops() {
         return;
@@ -100,8 +100,9 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
     }
 }
 
-/// The end, with small noise levels raised where any size up to some limit costs nothing: the noise of one row a test
-/// next to the variance of what it measures, say. With the level at zero, that variance would look known.
+/// The end of a search, with noise levels near zero raised where ℓ does not fall at a larger size, such as the noise of
+/// a single row per test in addition to the variance of the measured state. With the level at zero, that variance would
+/// look known.
 fn raise_free_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
     let is_unfelt = |s: usize| {
         let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
@@ -165,13 +166,13 @@ fn fit_at_end(
     })
 }
 
-/// The best end of all searches as a start elsewhere; `None` where they all fail.
+/// The best end of all searches, as a start of another search; `None` where all searches fail.
 pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
     let (ends, ..) = all_ends(objective, progress).ok()?;
     best_end(&ends).map(|at| ends[at].restart())
 }
 
-/// The ends of the searches from all starts, and the first error of those that fail.
+/// The ends of the searches from all starts, and the first error of a search that fails.
 fn search_all_starts(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
@@ -193,7 +194,8 @@ fn search_all_starts(
     Ok((ends, first_error))
 }
 
-/// Marks covariances of noises, and levels that a known covariance bounds, as on the edge where they stand at a bound.
+/// Sets the standing of covariances of noises at a bound, and of levels at a lower bound from a known covariance, to
+/// [`Standing::Edge`].
 fn mark_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<Standing> {
     let one = |(s, standing): (usize, Standing)| match standing {
         Standing::Lower | Standing::Upper if objective.edges.has(s) => Standing::Edge,
@@ -203,8 +205,8 @@ fn mark_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec
     standing.into_iter().enumerate().map(one).collect()
 }
 
-/// Index of the best certified end, of equals the first: an end that is not certified may be on its way to where ℓ has
-/// no bound. A certified end below the first start does not count.
+/// Index of the best certified end, the first of equal ones; an uncertified end may be on the way to an unbounded ℓ. A
+/// certified end below ℓ at the first start does not count. If no end counts, index of the highest end.
 fn best_end(ends: &[SearchEnd]) -> Option<usize> {
     let highest = |among: &dyn Fn(&SearchEnd) -> bool| {
         let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
@@ -215,10 +217,11 @@ fn best_end(ends: &[SearchEnd]) -> Option<usize> {
     highest(&above).or_else(|| highest(&|_| true))
 }
 
-/// Where [`fit`] begins: a start value of each free value, in the order of [`Slots`], given or worked out from the tests.
+/// Start values at which [`fit`] begins, one for each free value in the order of [`Slots`], given or computed from the
+/// tests.
 ///
 /// # Errors
-/// As [`fit`] has them before its first step.
+/// The errors of [`fit`] before the first step.
 pub fn start_values(
     model: &PhasedModel,
     labels: &Labels,

@@ -1,8 +1,8 @@
 //! Whether a noise level at zero is at a maximum: the *gradient function* (theory §13).
 //!
 //! v = 0 is a maximum in the variance v when D = ∂ℓ/∂v ≤ 0 there, and ∂ℓ/∂σ = 2σD = 0 says nothing. Values that only
-//! shape that noise (its time constant, its correlations) have no effect while it is zero, but D depends on them: D ≤ 0
-//! must hold over their whole range.
+//! shape that noise (time constant, correlations) have no effect while the level is zero, but D depends on such values:
+//! D ≤ 0 must hold over the whole range of each.
 
 use crate::Standing;
 use crate::joint::{FLAT_LOGARITHM, JointInformation};
@@ -10,31 +10,31 @@ use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::scales::time_constants;
 use crate::search_state::{MIN_RISE, SearchState};
 
-/// Part of its former size that a level at zero gets where a derivative at zero is wanted.
+/// Value of a level, relative to the former size, at which derivatives at zero are evaluated.
 const DERIVATIVE_SIZE: f64 = 1e-7;
-/// Part of its former size that a level at zero gets where values that shape its noise are to have an effect.
+/// Value of a level at zero, relative to the former size, at which values that shape the noise have an effect.
 const EFFECT_SIZE: f64 = 0.3;
 /// Rise of ℓ, predicted for the former variance, above which a derivative at zero counts.
 const MIN_GAIN: f64 = 1e-7;
-/// Ratio of successive variances at which a level may return, beginning with its former one.
+/// Ratio of successive variances at which a level may return, beginning with the former variance.
 const VARIANCE_RATIO: f64 = 0.125;
-/// Number of these variances that are tried in any case.
+/// Number of variances that are tried in any case.
 const MIN_SIZES: i32 = 8;
-/// Maximal number of these variances, where smaller ones still promise a rise.
+/// Maximal number of variances that are tried, where smaller variances still promise a rise of ℓ.
 const MAX_SIZES: i32 = 24;
-/// Values tried for a covariance, in parts of its bound.
+/// Values tried for a covariance, relative to the bound of the covariance.
 const TRIAL_CORRELATIONS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
-/// Slope of ℓ below which it counts as zero.
+/// Slope of ℓ that counts as zero.
 const FLAT_SLOPE: f64 = 1e-9;
 /// Ratio of successive times that are tried for time constants without effect.
 const TIME_RATIO: f64 = 2.0;
-/// Shortest of these times, in lengths of a step.
+/// Shortest time constant tried, in lengths of a step.
 const SHORTEST_TIME: f64 = 0.05;
-/// Longest of these times, in lengths of a test.
+/// Longest time constant in that series, in lengths of a test.
 const LONGEST_TIME: f64 = 4.0;
-/// Maximal number of these times.
+/// Maximal number of time constants in that series.
 const MAX_TIMES: usize = 40;
-/// Further times tried, in lengths of a test, at which the process is all but constant in a test.
+/// Further time constants tried, in lengths of a test, at which the process is all but constant in a test.
 const LONG_TIMES: [f64; 3] = [30.0, 1e3, 1e6];
 
 /// New values, as (slot, value).
@@ -44,7 +44,8 @@ type ChangedValues = Vec<(usize, f64)>;
 type Derivative = (f64, usize, ChangedValues);
 
 impl SearchState<'_, '_> {
-    /// Lets a level at zero return where ℓ rises with its variance, for some shape of its noise.
+    /// Raises a level from zero where ℓ rises with the variance for some shape of the noise; returns whether a level
+    /// was raised.
     pub(super) fn reactivate_levels(&mut self, joint: &JointInformation) -> bool {
         let mut zeros = self.zeros();
         zeros.retain(|&s| self.objective.coordinates[s].lower == 0.0 && self.held != Some(s));
@@ -66,8 +67,8 @@ impl SearchState<'_, '_> {
             || self.reactivate_with_covariance(&zeros)
     }
 
-    /// Lets a noise return together with its free covariance to another: the covariance grows as the level itself, so
-    /// that ℓ has a slope in the level that no derivative in its variance shows.
+    /// Raises a noise level from zero together with a free covariance to another noise: the covariance is proportional
+    /// to the level, so that ℓ has a slope in the level that no derivative in the variance shows.
     fn reactivate_with_covariance(&mut self, zeros: &[usize]) -> bool {
         let crossed = |&s: &usize| {
             let parameter = self.objective.slots.slots()[s].parameter;
@@ -81,8 +82,8 @@ impl SearchState<'_, '_> {
         ways.into_iter().any(|(s, shape)| self.reactivate(s, 0.0, &shape))
     }
 
-    /// Returns a level from zero at the largest size at which ℓ is higher than at zero. `gain`: the predicted rise for
-    /// its former variance, proportionally less for a smaller one.
+    /// Raises a level from zero to the largest size tried at which ℓ is higher. `gain`: predicted rise of ℓ for the
+    /// former variance; the prediction is proportional to the variance.
     fn reactivate(&mut self, s: usize, gain: f64, shape: &ChangedValues) -> bool {
         let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
         let is_worth = |size: &i32| *size < MIN_SIZES || gain * VARIANCE_RATIO.powi(*size) > MIN_RISE;
@@ -109,7 +110,8 @@ impl SearchState<'_, '_> {
         AtZero { objective: self.objective, iterate: &self.iterate, before_zero: &self.before_zero }
     }
 
-    /// Shapes of noises whose levels are at zero: the present one, and values without effect over their ranges.
+    /// Trial shapes of noises whose levels are at zero: the present shape, and shapes with values without effect over
+    /// the ranges of these values.
     fn shapes(&self, joint: &JointInformation) -> Vec<ChangedValues> {
         let mut all = vec![ChangedValues::new()];
         let idle = self.idle(joint);
@@ -145,7 +147,7 @@ impl SearchState<'_, '_> {
     }
 
     /// Derivatives of a level between the times that were tried, at the tops of parabolas through three of them, where
-    /// the highest of these is not positive but a neighbouring time may be.
+    /// the highest of the three is not positive, but a derivative between two times may be.
     fn between(&self, s: usize, found: &[Derivative]) -> Vec<Derivative> {
         let own: Vec<&Derivative> = found.iter().filter(|(_, level, _)| *level == s).collect();
         let mut tops = Vec::new();
@@ -167,7 +169,7 @@ impl SearchState<'_, '_> {
         tops
     }
 
-    /// Values along which ℓ does not change at all.
+    /// Slots of the values in which ℓ has neither slope nor curvature.
     fn idle(&self, joint: &JointInformation) -> Vec<usize> {
         let flat = |t: &usize| {
             let level_ground =
@@ -177,7 +179,7 @@ impl SearchState<'_, '_> {
         (0..self.iterate.values.len()).filter(flat).collect()
     }
 
-    /// Marks values that have no effect while levels are zero, as opposed to those that ℓ never depends on.
+    /// Marks values that have no effect while levels are zero, as opposed to values on which ℓ never depends.
     pub(super) fn mark_idle(&mut self, joint: &JointInformation) {
         let zeros = self.zeros();
         let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
@@ -202,7 +204,7 @@ struct AtZero<'s> {
 }
 
 impl AtZero<'_> {
-    /// ∂ℓ/∂v at v = 0 for each of some levels, times its former variance, with another shape of the noises.
+    /// ∂ℓ/∂v at v = 0 × the former variance, for each level of `zeros`, with the noises in another shape.
     fn derivatives(self, zeros: &[usize], shape: &ChangedValues) -> Vec<Derivative> {
         let AtZero { objective, iterate, before_zero } = self;
         let mut values = iterate.values.clone();

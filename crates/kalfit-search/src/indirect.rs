@@ -1,6 +1,6 @@
-//! Scores through phases that are known by a filter's estimates (theory §8). How these estimates depend on α, through
-//! Γ, S and φ, is found by differences: the phase at other values of α, with everything else of the test and the law of
-//! ξ unchanged.
+//! Scores through phases that are known by a filter's estimates (theory §8). The derivatives of these estimates by α,
+//! through Γ, S and φ, come from differences: the phase is evaluated at other values of α, with the rest of the test
+//! and the law of ξ unchanged.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,11 +13,11 @@ use kalfit_filter::score::{Gradient, PhaseLaws, SmootherPlan, add, dependences};
 use kalfit_model::{Alpha, PhasedModel, Slots};
 use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
 
-/// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
+/// Step of a value, relative to the size of the value. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
 /// Number of lengths tried for a step that leaves the model's domain.
 const MAX_TRIALS: usize = 4;
-/// Factor by which such a step is shortened each time.
+/// Factor by which a step is shortened at each further trial.
 const SHORTENING: f64 = 0.1;
 /// Weights of ℓ at -2, -1, 1 and 2 steps.
 pub(super) const WEIGHTS: [(f64, f64); 4] =
@@ -40,7 +40,7 @@ pub struct Around<'a> {
 pub(crate) struct Indirect {
     /// Whether some test has estimates, by phase.
     phases: Vec<bool>,
-    /// Tests with estimates, by number, and the free values that their estimates depend on.
+    /// Index of each test with estimates, and slots of the free values that the estimates depend on.
     tests: Vec<(usize, Vec<usize>)>,
 }
 
@@ -64,7 +64,7 @@ impl Indirect {
         Indirect { phases, tests: all }
     }
 
-    /// Free parameters that estimates depend on.
+    /// Indices of the free parameters that estimates depend on.
     pub(crate) fn parameters(&self, model: &PhasedModel, slots: &Slots) -> Vec<usize> {
         let phases = model.phases.iter().zip(&self.phases).filter(|(_, has)| **has);
         phases.flat_map(|(phase, _)| dependences(phase, slots)).collect()
@@ -107,7 +107,7 @@ impl Indirect {
         Ok(())
     }
 
-    /// Sets of values that no test has in common.
+    /// Sets of values without a common test.
     fn colours(&self, count: usize, tests: usize) -> Vec<Vec<usize>> {
         let mut touching = vec![Vec::new(); count];
         self.tests.iter().for_each(|(j, slots)| slots.iter().for_each(|&s| touching[s].push(*j)));
@@ -154,7 +154,7 @@ fn is_indirect(model: &PhasedModel, at: usize, evidence: &Evidence) -> bool {
     }
 }
 
-/// The phases of a test, with those known by estimates taken at another α.
+/// The phases of a test: phases known by estimates from `there`, at another α, other phases from `home`.
 fn mixed(
     model: &PhasedModel,
     test: &PhasedTest,

@@ -459,7 +459,7 @@ impl JointInformation {
         self.is_of_shared_values().then(|| self.shared_covariances(information, &[]))
     }
 
-    /// Covariances of the shared values and along the tangent basis, from an information matrix of this size.
+    /// Covariances of the shared values and along the tangent basis, from a given information matrix.
     fn shared_covariances(&self, information: &DMatrix<f64>, known: &[KnownEigenvalue]) -> ValueCovariances {
         let (whole, flat, directions) = inverse(information, (known, self.shared.len()));
         let mut alpha = vec![None; self.cross.nrows()];

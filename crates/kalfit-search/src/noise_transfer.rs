@@ -1,11 +1,11 @@
 //! Transfer of variance between measurement noises with free covariances and a nearly white process.
 //!
 //! ```text
-//! R + h h'σ²      what measurements with noise covariance R, and h times a white process of variance σ², vary by
+//! R + h h'σ²      covariance of measurements with noise covariance R and h times a white process of variance σ²
 //! ```
 //!
-//! So noise may take over such a process, covariances included, or a process as much of the noise as possible, σ² =
-//! 1/(h'R⁻¹h): ℓ is unchanged, and a search may lead on from the other explanation. If one variance alone replaced
+//! So noise may take over such a process, covariances included, or a process may take over noise up to the variance σ²
+//! = 1/(h'R⁻¹h): ℓ is unchanged, and a search may lead on from the other explanation. If one variance alone replaced
 //! another, ℓ would fall far, because measurements would be correlated differently.
 
 use nalgebra::{DMatrix, DVector};
@@ -17,22 +17,23 @@ use kalfit_model::{Expression, Model, Operator};
 /// variances set.
 const UNTAKEN_PART: f64 = 1e-2;
 
-/// Measurements whose noises have free covariances, and their coefficients of one process.
+/// Noises of measurements with free covariances, and the coefficients of one process in these measurements.
 pub(super) struct NoiseTransfer<'b, 'a> {
     objective: &'b ProfileLikelihood<'a>,
-    /// The level of each measurement's noise, and the exponent with which it is a variance.
+    /// (Slot of the noise level, exponent k with variance = level^k) of each measurement.
     levels: Vec<(usize, f64)>,
-    /// Free covariances of two of these measurements, as (index, index, slot).
+    /// Free covariances of the noises of measurements i and j, as (i, j, slot).
     covariances: Vec<(usize, usize, usize)>,
     /// Coefficients h of the process in the measurements.
     loadings: DVector<f64>,
-    /// The level of the process, and its exponent.
+    /// (Slot of the level of the process, exponent k with variance = level^k).
     process: (usize, f64),
 }
 
 impl<'b, 'a> NoiseTransfer<'b, 'a> {
-    /// The noises that have covariances, with that of level `s` among them, and the process of level `t`; `None` where
-    /// there are none, or where levels, covariances or coefficients are not simple enough for ℓ to stay unchanged.
+    /// The noises with free covariances, which must include the noise of level `s`, and the process of level `t`;
+    /// `None` where there are no such noises, or where levels, covariances or coefficients are not simple enough for ℓ
+    /// to stay unchanged.
     pub(super) fn of(objective: &'b ProfileLikelihood<'a>, s: usize, t: usize) -> Option<Self> {
         let [phase] = &objective.model.phases[..] else { return None };
         let model = &phase.model;
@@ -66,7 +67,7 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
                 .all(|i| (0..i).all(|j| self.levels[i].0 != self.levels[j].0 && (!seen(i) || !seen(j) || has(i, j))))
     }
 
-    /// The level of the first measurement's noise.
+    /// Slot of the noise level of the first measurement.
     pub(super) fn first(&self) -> usize {
         self.levels[0].0
     }
@@ -105,7 +106,7 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
         matrix
     }
 
-    /// The sought values for this covariance R of the noises.
+    /// The sought values for a given covariance R of the noises.
     fn with(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
         for (m, &(level, exponent)) in self.levels.iter().enumerate().filter(|(m, _)| self.loadings[*m] != 0.0) {
             let coordinate = self.objective.coordinates[level];
@@ -116,7 +117,8 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
     }
 }
 
-/// The level, common to all tests, that a variance equals or is the square of, and its exponent.
+/// Slot of the level θ, common to all tests, and the exponent k, 1 or 2, of a variance θ^k; `None` for another
+/// variance.
 fn level_of(objective: &ProfileLikelihood<'_>, variance: &Expression) -> Option<(usize, f64)> {
     let (parameter, exponent) = match variance {
         Expression::Parameter(p) => (*p, 1.0),

@@ -8,12 +8,11 @@ use kalfit_estimate::Progress;
 use kalfit_model::PhasedTest;
 use kalfit_model::{PhasedModel, Slots};
 
-/// Ratio of a start value to the size that the data suggest, up or down, beyond which the value is not combined with
-/// those of other places.
+/// Ratio of a start value to the size that the data suggest, up or down, beyond which the size replaces the value.
 const MAX_RATIO: f64 = 1e4;
 
-/// The answer of one place to [`Question::Opening`](kalfit_model::remote::Question::Opening): its number of tests, and that many times the
-/// coordinate of each start value and the logarithm of each size.
+/// The answer of one place to [`Question::Opening`](kalfit_model::remote::Question::Opening): the number n of tests
+/// there, n × the coordinate of each start value, and n × the logarithm of each size.
 pub fn opening(
     model: &PhasedModel,
     tests: &[PhasedTest],
@@ -35,7 +34,7 @@ pub fn opening(
     std::iter::once(count).chain(numbers).collect()
 }
 
-/// The start values that were given; if some are open, where the best search on a part of the tests ends.
+/// The given start values; if some are missing, the end of the best search on a part of the tests.
 fn suggested(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Vec<f64> {
     let sample = sample(objective.tests, true);
     let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
@@ -44,7 +43,7 @@ fn suggested(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> 
     found.unwrap_or_else(|| start::first(objective, progress))
 }
 
-/// Suggestions of all places: the means over their tests.
+/// Suggestions of all places, combined as means over all tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuggestedValues {
     pub(crate) tests: usize,
@@ -55,7 +54,7 @@ pub struct SuggestedValues {
 }
 
 impl SuggestedValues {
-    /// The means from the sum of the answers; `None` where these are not about as many values.
+    /// The means from the sum of the answers of all places; `None` where the number of values differs.
     pub fn of(numbers: &[f64], coordinates: &[Coordinate]) -> Option<SuggestedValues> {
         let (tests, rest) = numbers.split_first()?;
         if rest.len() != 2 * coordinates.len() {

@@ -1,5 +1,5 @@
-//! Fewer rounds with remote tests: together with a step in (α, μ, Σ), the results are requested that are needed after
-//! it.
+//! Fewer rounds with remote tests: results that are needed after a step in (α, μ, Σ) are requested together with the
+//! step.
 
 use crate::differences::first_points;
 use crate::joint::JointStep;
@@ -9,7 +9,8 @@ use crate::search_state::SearchState;
 
 impl SearchState<'_, '_> {
     /// [`ProfileLikelihood::step`](crate::dynamic::profile_likelihood::ProfileLikelihood::step) from the present point.
-    /// Where remote tests have not answered for the new point yet, the differences about it are requested, too.
+    /// Where remote tests have not answered for the new point yet, the differences around that point are requested,
+    /// too.
     pub(super) fn step_and_prefetch(&self, values: &[f64], step: &JointStep, fine: bool) -> Option<ProfilePoint> {
         self.objective.together(|| {
             let next = self.objective.step(&self.iterate, values, &step.inner);
@@ -20,7 +21,7 @@ impl SearchState<'_, '_> {
         })
     }
 
-    /// Requests the differences about the end of a step, two-sided where the search may end there.
+    /// Requests the differences around the end of a step, two-sided where the search may end at that point.
     fn prefetch(&self, values: &[f64], step: &JointStep, fine: bool) {
         let objective = self.objective;
         let Ok(reduced) = objective.reduce(values) else { return };

@@ -1,5 +1,5 @@
-//! ℓ(α): the reductions at α, the maximum over (μ, Σ) on them, and its gradient in α. The filters run when α moves, and only
-//! then.
+//! ℓ(α): the reductions at α, the maximum of ℓ over (μ, Σ) on the reductions, and dℓ/dα. The filters run only when α
+//! moves.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -49,9 +49,9 @@ pub struct ProfileLikelihood<'a> {
     /// Coordinate and bounds of each free value.
     pub coordinates: Vec<Coordinate>,
     pub(crate) settings: &'a Settings,
-    /// Covariances of noises, which are sought as parts of their bounds.
+    /// Covariances of noises, which are sought relative to the edge.
     pub edges: CorrelationBounds,
-    /// Levels that a known covariance bounds from below.
+    /// Slots of the levels that a known covariance bounds from below.
     pub(crate) lower_bounded: BTreeSet<usize>,
     /// Pairs of exchangeable processes.
     pub twins: Vec<ExchangeablePair>,
@@ -62,7 +62,7 @@ pub struct ProfileLikelihood<'a> {
     order: OnceLock<Vec<usize>>,
     indirect: Indirect,
     scale: Option<Scale>,
-    /// Answers of remote tests, where the tests are elsewhere.
+    /// Answers of remote tests; `None` where the tests are here.
     answers: Option<Arc<Answers>>,
     batching: Batching,
     /// Decides before each run of the filters whether it is made.
@@ -72,12 +72,12 @@ pub struct ProfileLikelihood<'a> {
     passes: AtomicUsize,
 }
 
-/// An ensemble at an α.
+/// Results of the filters for an ensemble at one α.
 pub struct Reduced {
     /// The reducer of the tests; `None` where reductions were scaled from another α, or are remote.
     reducer: Option<PhasedReducer>,
     pub reductions: Reductions,
-    /// Filter results that are kept in lanes for the scores.
+    /// Filter results in lanes, stored for the scores.
     filtered: Option<FilteredPhases>,
 }
 
@@ -94,13 +94,13 @@ pub struct ProfilePoint {
     pub(crate) second_derivatives: SecondDerivatives,
 }
 
-/// Results from which second derivatives are made.
+/// Results from which second derivatives are computed.
 #[derive(Debug, Clone)]
 pub(crate) enum SecondDerivatives {
     /// Results of each test, for differences.
     Tests(Box<OfTests>),
-    /// Exact information on the only value, which scales all noise, and between it and (μ, Σ) along the tangent basis.
-    /// Results of each test are computed when requested.
+    /// Exact information on the only value, which scales all noise, and between that value and (μ, Σ) along the tangent
+    /// basis. Results of each test are computed on request.
     Scale(NoiseInformation),
 }
 
@@ -119,7 +119,7 @@ impl ProfilePoint {
     }
 }
 
-/// Gradients of ℓ near a solved α, at the (μ, Σ) found there.
+/// Gradients of ℓ near a solved α, at the (μ, Σ) of the solved α.
 #[derive(Debug)]
 pub(crate) struct FixedLawPoint {
     pub(crate) values: Vec<f64>,
@@ -153,7 +153,7 @@ impl<'a> ProfileLikelihood<'a> {
             lower_bounded: lower_bounded.into_iter().map(|(s, _)| s).collect(),
             settings,
             twins: ExchangeablePair::of(model, slots),
-            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // its errors are reported before
+            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // errors of `grouping` are reported before
             units: OnceLock::new(),
             scales: OnceLock::new(),
             order: OnceLock::new(),
@@ -168,7 +168,7 @@ impl<'a> ProfileLikelihood<'a> {
         }
     }
 
-    /// ℓ(α) of remote tests, which suggest these sizes of the values.
+    /// ℓ(α) of remote tests; `units`: the sizes of the values that the tests suggest.
     pub fn elsewhere(
         model: &'a PhasedModel,
         (slots, settings): (&'a Slots, &'a Settings),
@@ -211,7 +211,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.answers.as_ref().is_some_and(|answers| answers.is_waiting())
     }
 
-    /// Makes several requests that do not depend on each other; of remote tests, all at once.
+    /// Makes several independent requests; requests to remote tests are sent all at once.
     pub(crate) fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
         match &self.answers {
             Some(answers) => answers.together(ask),
@@ -228,7 +228,7 @@ impl<'a> ProfileLikelihood<'a> {
         !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= MAX_ROWS_IN_WORK
     }
 
-    /// A result for each of some points; for several points at a time where tests or rows are few.
+    /// The result of `one` at each point; threads work at several points at once where tests or rows are few.
     pub(crate) fn each<P: Sync, T: Send>(&self, places: &[P], one: impl Fn(&P) -> T + Sync + Send) -> Vec<T> {
         if !self.is_parallel_over_alpha() {
             return places.iter().map(one).collect();
@@ -237,7 +237,7 @@ impl<'a> ProfileLikelihood<'a> {
         places.par_iter().map(one).collect()
     }
 
-    /// Sizes found in the data.
+    /// Sizes of noise and lengths of time in the data.
     pub(crate) fn scales(&self) -> &Scales {
         self.scales.get_or_init(|| Scales::of(self.model, self.tests, self.order()))
     }
@@ -256,7 +256,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.tests.iter().map(PhasedTest::row_count).sum()
     }
 
-    /// The values after a part of a step in their coordinates, within bounds.
+    /// The values after `part` of a step in the coordinates, within bounds.
     pub(crate) fn moved(&self, values: &[f64], step: &[f64], part: f64) -> Vec<f64> {
         let one = |((coordinate, v), d): ((&Coordinate, &f64), &f64)| {
             if *d == 0.0 { *v } else { coordinate.moved(*v, part * d) }
@@ -295,17 +295,17 @@ impl<'a> ProfileLikelihood<'a> {
         self.passes.load(Ordering::Relaxed)
     }
 
-    /// α for these sought values.
+    /// α at the given sought values.
     pub fn alpha(&self, sought: &[f64]) -> Alpha {
         self.slots.alpha(self.model.shared(), &self.values(sought))
     }
 
-    /// The free values of α for these sought values: equal to them, except for covariances of noises.
+    /// The free values of α at the given sought values; the two differ only in covariances of noises.
     pub(crate) fn values(&self, sought: &[f64]) -> Vec<f64> {
         self.edges.values(sought, &self.slots.alpha(self.model.shared(), sought))
     }
 
-    /// The sought values for these free values of α, as a start.
+    /// The sought values at the given free values of α, with covariances beyond the edge brought inside.
     pub fn sought(&self, values: &[f64]) -> Vec<f64> {
         self.edges.sought(values, &self.slots.alpha(self.model.shared(), values))
     }
@@ -418,7 +418,7 @@ impl<'a> ProfileLikelihood<'a> {
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
-    /// ℓ(α) alone with the filters run at these very values, which keeps all digits however far these are from others.
+    /// ℓ(α) alone, from a run of the filters at `values`: reductions scaled from far away would lose digits.
     pub(crate) fn filtered_value(&self, values: &[f64]) -> Option<f64> {
         let reductions = self.filter(values).ok()?.reductions;
         let estimate = self.inner(&reductions, &self.alpha(values), None).ok()?;
@@ -451,7 +451,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
     }
 
-    /// The gradients of ℓ at other values but the (μ, Σ) of `iterate`; `None` where ℓ is not defined.
+    /// The gradients of ℓ at other values of α and the (μ, Σ) of `iterate`; `None` where ℓ is not defined.
     pub(crate) fn shift(&self, iterate: &ProfilePoint, values: &[f64]) -> Option<FixedLawPoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
@@ -473,7 +473,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.solved(values, alpha, reduced, Estimate::unfinished(state)).ok()
     }
 
-    /// ℓ(α) and its gradient with (μ, Σ) solved for, where these moved along with α before.
+    /// ℓ(α) and dℓ/dα with (μ, Σ) solved for, after steps that moved (μ, Σ) together with α.
     pub(crate) fn settle(&self, iterate: &ProfilePoint) -> Result<ProfilePoint, DynamicError> {
         let (values, alpha) = (&iterate.values, self.alpha(&iterate.values));
         let reduced = self.reduce(values)?;
@@ -495,7 +495,7 @@ impl<'a> ProfileLikelihood<'a> {
         })
     }
 
-    /// The reductions at a solved α, and the estimate on them.
+    /// The reductions at a solved α, and the estimate on these reductions.
     pub(crate) fn with_reductions(&self, iterate: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
         let ProfilePoint { values, estimate, second_derivatives: told, .. } = iterate;
         if let SecondDerivatives::Tests(tests) = told {
@@ -511,12 +511,13 @@ impl<'a> ProfileLikelihood<'a> {
         Ok((reductions, Estimate { state, ..estimate }))
     }
 
-    /// Values that stand in matrices of the covariance structure.
+    /// Slots of the values that occur in matrices of the covariance structures.
     pub(crate) fn matrix_slots(&self) -> Vec<usize> {
         matrices::slots(self.model, self.slots)
     }
 
-    /// Values that the complete data of some phase do not show: of a carry, or of a phase that is known by a filter's estimates.
+    /// Slots of the values on which the complete data do not depend: values of a carry, and of a phase that is known by
+    /// estimates of a filter.
     pub(crate) fn hidden_slots(&self) -> Vec<usize> {
         let carried = self.model.phases.iter().flat_map(|phase| carried(phase, self.slots));
         let hidden: BTreeSet<usize> = carried.chain(self.indirect.parameters(self.model, self.slots)).collect();
@@ -528,12 +529,12 @@ impl<'a> ProfileLikelihood<'a> {
         self.settings.inner.criterion == Criterion::Reml
     }
 
-    /// The tests in an order that does not depend on the order given.
+    /// Indices of the tests, sorted by id: an order independent of the order given.
     pub fn order(&self) -> &[usize] {
         self.order.get_or_init(|| by_id(self.tests))
     }
 
-    /// dℓ_j/dvalue of each test at these values and this law.
+    /// dℓ_j/dvalue of each test at given values and a given law of ξ.
     pub fn scores(&self, values: &[f64], reduced: &Reduced, law: &InitialLaw) -> Result<Vec<Gradient>, DynamicError> {
         self.check_waited_for()?;
         let Reduced { reducer, reductions, filtered } = reduced;
@@ -574,8 +575,8 @@ impl<'a> ProfileLikelihood<'a> {
         Ok(scorer.all_complete(self.tests, &reductions, &law).map_err(Box::new)?)
     }
 
-    /// The expected log-likelihood of the complete data at α and its gradient by the coordinates; `None` where it is
-    /// not defined.
+    /// The expected log-likelihood of the complete data at α and its gradient by the coordinates; `None` where either
+    /// is not finite.
     pub(crate) fn expected(&self, complete: &[PhasedComplete], values: &[f64]) -> Option<(f64, Vec<f64>)> {
         let alpha = self.alpha(values);
         let reducer = PhasedReducer::scoring(self.model, &alpha, self.slots).ok()?;
@@ -588,7 +589,7 @@ impl<'a> ProfileLikelihood<'a> {
         (value.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((value, gradient))
     }
 
-    /// Which free values are noise levels, at an α where none is zero.
+    /// The noise levels among the free values, from an α where no level is zero.
     pub(crate) fn levels(&self, alpha: &Alpha) -> Result<Levels, DynamicError> {
         let reducer = PhasedReducer::scoring(self.model, alpha, self.slots).map_err(Box::new)?;
         Ok(Levels::new(self.model, &reducer, self.slots, self.tests).map_err(Box::new)?)
@@ -606,8 +607,7 @@ impl<'a> ProfileLikelihood<'a> {
     }
 }
 
-/// Tests in the order of their ids. Most ids differ in their first letters, which are compared without a visit to each
-/// id.
+/// Indices of the tests, sorted by id. Most ids differ in the first eight bytes, which are compared as one number.
 fn by_id(tests: &[PhasedTest]) -> Vec<usize> {
     let first =
         |id: &str| id.bytes().chain(std::iter::repeat(0)).take(8).fold(0, |word, byte| word << 8 | u64::from(byte));

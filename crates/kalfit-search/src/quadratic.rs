@@ -1,8 +1,8 @@
-//! Quadratic model of ℓ in α about a point, with (μ, Σ) following α.
+//! Quadratic model of ℓ in α about a point, with ℓ maximised over (μ, Σ).
 //!
-//! Levels enter it by their logarithms or by their variances. Where noises can replace each other, their variances add
-//! up: along such a ridge ℓ is straight in the variances, and bends in their logarithms. Far from any maximum
-//! logarithms are better. The change of the gradient over a step shows which of the two predicted it.
+//! Noise levels enter the quadratic by logarithms or by variances. Where noises can replace each other, variances add
+//! up: along such a ridge ℓ is straight in the variances, and bends in the logarithms. Far from any maximum, logarithms
+//! are better. The change of the gradient over a step shows which of the two scales predicts better.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,18 +18,18 @@ pub(crate) enum LevelScale {
     Variance,
 }
 
-/// Profile information of some values, with (μ, Σ) following them.
+/// Profile information -d²ℓ of some values, with ℓ maximised over (μ, Σ).
 #[derive(Debug, Clone)]
 pub struct ProfileInformation {
     slots: Vec<usize>,
     information: DMatrix<f64>,
-    /// Scale of levels in it: the one in which ℓ has been nearer to a quadratic.
+    /// Scale of levels in `information`: the scale in which ℓ has been nearer to a quadratic.
     pub(super) level_scale: LevelScale,
 }
 
 impl ProfileInformation {
-    /// The profile information at a point with this joint information; `None` where some value belongs to a single
-    /// test.
+    /// The profile information at a point, from the joint information there; `None` where some value belongs to a
+    /// single test.
     pub(super) fn of(
         coordinates: &[Coordinate],
         level_scale: LevelScale,
@@ -46,13 +46,13 @@ impl ProfileInformation {
         Some(ProfileInformation { slots, information, level_scale })
     }
 
-    /// The profile information for this covariance of the values in these slots, levels by their logarithms.
+    /// The profile information for a given covariance of the values in `slots`, with levels in logarithms.
     pub fn of_covariance(slots: &[usize], covariance: &DMatrix<f64>) -> ProfileInformation {
         let (information, _) = positive_inverse(covariance, 0.0);
         ProfileInformation { slots: slots.to_vec(), information, level_scale: LevelScale::Logarithm }
     }
 
-    /// The profile information at a maximum by the other scale of levels, in which it is identical.
+    /// The profile information at a maximum in the other scale of levels; the matrix is the same in both scales.
     pub(super) fn other(self) -> ProfileInformation {
         let level_scale = match self.level_scale {
             LevelScale::Logarithm => LevelScale::Variance,
@@ -67,7 +67,7 @@ impl ProfileInformation {
     }
 }
 
-/// Values, and dℓ/dcoordinate there.
+/// A point in the free values of α, with the gradient of ℓ.
 #[derive(Debug, Clone, Copy)]
 pub struct Iterate<'a> {
     /// The free values.
@@ -82,11 +82,11 @@ impl<'a> From<&'a ProfilePoint> for Iterate<'a> {
     }
 }
 
-/// Quadratic model of ℓ.
+/// Quadratic model of ℓ about a point.
 #[derive(Debug)]
 pub struct Quadratic<'b> {
     coordinates: &'b [Coordinate],
-    /// Values that move.
+    /// Slots of the values that move.
     slots: Vec<usize>,
     /// Values at which a step of a variance equals one of the logarithm.
     about: Vec<f64>,
@@ -171,7 +171,7 @@ impl<'b> Quadratic<'b> {
     }
 
     /// Error of the predicted gradient after a step: dℓ/dlogarithm of levels, and dℓ/dcoordinate of other values, minus
-    /// the prediction from where the step began.
+    /// the prediction from the point where the step began.
     pub(super) fn prediction_error(&self, before: Iterate<'_>, after: Iterate<'_>) -> DVector<f64> {
         let missed = self.gradient(after) - self.gradient(before) + &self.information * self.way(before, after);
         let units = self.over_slots(|s| self.unit(s, after.values[s]));
@@ -188,8 +188,8 @@ impl<'b> Quadratic<'b> {
         self.slots.iter().all(|&s| !self.coordinates[s].at_lower(values[s]))
     }
 
-    /// Whether some level, by its logarithm, has a downward slope and a curvature below `times` that slope: it is on
-    /// its way to zero.
+    /// Whether some level, by its logarithm, has a downward slope and a curvature below `times` that slope: such a
+    /// level is on the way to zero.
     pub(super) fn has_vanishing_level(&self, at: Iterate<'_>, times: f64) -> bool {
         let has_vanishing_level = |(i, &s): (usize, &usize)| {
             let slope = at.gradient[s];

@@ -1,4 +1,4 @@
-//! μ, Σ and α at the end of a search, and where other searches ended.
+//! μ, Σ and α at the end of a search, and the ends of other searches.
 
 use crate::joint::JointInformation;
 use crate::{Method, Settings, Standing};
@@ -19,7 +19,7 @@ pub struct DynamicFit {
     pub sought: Vec<f64>,
     /// Reductions at α, in the order of the tests.
     pub reductions: Reductions,
-    /// μ and Σ at α, with their own certificate.
+    /// μ and Σ at α, with a separate certificate.
     pub estimate: Estimate,
     /// Largest score of α in units of its standard error.
     pub certificate: f64,
@@ -35,23 +35,23 @@ pub struct DynamicFit {
     pub score_passes: usize,
     /// Passes over the reductions of all tests.
     pub passes: usize,
-    /// Where other starts ended, best first.
+    /// Ends of the other searches, best first.
     pub others: Vec<OtherEnd>,
-    /// How far other maxima were looked for from the best end.
+    /// Extent of the exploration for other maxima from the best end.
     pub explored: Explored,
-    /// Noise levels, by name, with which ℓ rises without bound as they go to zero together: the data fit the model exactly. Empty
-    /// where ℓ has a maximum.
+    /// Noise levels, by name, that raise ℓ without bound as all of them go to zero together: the data fit the model
+    /// exactly. Empty where ℓ has a maximum.
     pub unbounded: Vec<String>,
     /// Observed information of (α, μ, Σ).
     pub joint: JointInformation,
-    /// Where each free value lies.
+    /// Standing of each free value, in the order of the slots.
     pub standing: Vec<Standing>,
     /// Settings of the search.
     pub settings: Settings,
 }
 
 impl DynamicFit {
-    /// Where each free value lies, in the order of the slots.
+    /// Standing of each free value, in the order of the slots.
     pub fn standing(&self) -> &[Standing] {
         &self.standing
     }
@@ -64,7 +64,7 @@ impl DynamicFit {
     }
 }
 
-/// How far other maxima were looked for from the best end.
+/// Extent of the exploration for other maxima from the best end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Explored {
     /// Not at all: one search takes long.
@@ -77,7 +77,7 @@ pub enum Explored {
     Whole,
 }
 
-/// Where another start ended.
+/// End of another search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OtherEnd {
     /// ℓ at that end.
@@ -86,6 +86,6 @@ pub struct OtherEnd {
     pub values: Vec<f64>,
     /// Why the search stopped.
     pub stop: Stop,
-    /// The search was given up, because it could not reach the best end.
+    /// Whether the search was given up because ℓ could not reach the best end.
     pub given_up: bool,
 }

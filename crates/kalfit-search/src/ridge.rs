@@ -2,14 +2,14 @@
 //! together with a state with a free mean.
 //!
 //! Differences of gradients at fixed (μ, Σ) do not resolve so small a curvature: it is a small difference of large
-//! numbers. Gradients at the best (μ, Σ), a part of a standard error to either side, do resolve it, and the distance to
-//! the top of the ridge.
+//! numbers. Gradients at the best (μ, Σ), a part of a standard error to either side, do resolve the curvature and the
+//! distance to the top of the ridge.
 
 use crate::joint::{FLAT_EIGENVALUE, InformationDirection, JointInformation};
 use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_model::Population;
 
-/// Distance of the sides from the point, in standard errors.
+/// Distance of the points on the two sides from the examined point, in standard errors.
 const SIDE_DISTANCE: f64 = 0.1;
 /// Gradients that differ by less than this, in coordinates of unit curvature, may differ by rounding.
 const MIN_DIFFERENCE: f64 = 1e-8;
@@ -37,8 +37,8 @@ pub(super) struct Ridge {
 }
 
 impl Ridge {
-    /// The ridge along a direction from a point, by ℓ and its gradients; `None` where these do not distinguish it from
-    /// a flat direction, or disagree.
+    /// The ridge along a direction from a point, by values and gradients of ℓ; `None` where gradients do not
+    /// distinguish the ridge from a flat direction, or where values and gradients disagree.
     pub(super) fn new(
         objective: &ProfileLikelihood<'_>,
         start: RidgeStart<'_>,

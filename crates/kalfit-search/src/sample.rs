@@ -1,4 +1,4 @@
-//! A part of the data, on which searches are cheap, and where the best of them end.
+//! A part of the data, on which searches are cheap, and the best ends of searches on that part.
 
 use crate::Settings;
 use crate::coordinates::alike;
@@ -10,7 +10,7 @@ use crate::search_state::SearchStart;
 use kalfit_estimate::{Progress, Stage, Step};
 use kalfit_model::{Evidence, PhasedTest};
 
-/// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
+/// Loss of ℓ from the best end on a part of the data up to which an end is followed on all of the data.
 pub(super) const CLOSE_LOSS: f64 = 5.0;
 /// Maximal number of such ends that are followed.
 pub(super) const MAX_FOLLOWED: usize = 3;
@@ -30,7 +30,7 @@ const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
 /// Number of rows that is enough where values are common to all tests and the rows are of many tests.
 const ROWS_OF_MANY: usize = 20_000;
-/// Number of tests that are many in this sense.
+/// Number of tests from which on [`ROWS_OF_MANY`] rows are enough.
 const MANY_TESTS: usize = 256;
 
 /// The first rows of every phase of every test, as many tests as fit; `common`: values are common to all tests.
@@ -39,7 +39,7 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
 }
 
 /// Parts of the data between the sample and all of it, each larger than the one before, where the sample cuts records
-/// short: slow processes show in whole ones. There are none for short tests, of which the sample has enough.
+/// short: slow processes show in whole ones. Short tests need no larger part, because the sample has enough of them.
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
     let all = if tests.iter().any(|test| test.row_count() > ROWS_OF_A_TEST) { total(tests) } else { 0 };
     let least = MIN_RATIO * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
@@ -48,7 +48,8 @@ pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item =
     sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| MIN_RATIO * total(part) <= all)
 }
 
-/// Settings of a search on such a part: its exact end does not matter.
+/// Settings of a search on a part of the data, with a tolerance of [`ROUGH_TOLERANCE`] or more: the exact end does not
+/// matter.
 pub(super) fn rough_settings(settings: &Settings) -> Settings {
     let mut rough = settings.clone();
     rough.inner.tolerance = rough.inner.tolerance.max(ROUGH_TOLERANCE);
@@ -76,9 +77,9 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
     sample
 }
 
-/// Starts on all of the data: the given values, or the end that they lead to on a part of the data if ℓ is no lower
-/// there; and the ends on that part of the best of many others. Each comes with the curvature of ℓ on the part. Where
-/// all others fail on the part, they are returned as they are.
+/// Starts on all of the data: the given values, or the end of a search from the given values on a part of the data if ℓ
+/// is no lower at that end; and the best ends of searches from `others` on that part, each with the curvature of ℓ on
+/// the part. Where all searches from `others` fail, `others` are returned unchanged.
 pub(super) fn promising(
     (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     given: Option<Vec<f64>>,
@@ -109,8 +110,8 @@ pub(super) fn promising(
     kept
 }
 
-/// The starts moved to the ends that they lead to on a larger part of the data, if ℓ of all data is no lower there. The
-/// first one stays; others are dropped that end near another one, or far below.
+/// Each start, replaced by the end of a search on a larger part of the data if ℓ of all data is no lower at that end. A
+/// start other than the first is dropped if the search ends near an earlier end, or far below in ℓ.
 pub(super) fn refined(
     (objective, larger): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     starts: Vec<SearchStart>,
@@ -141,7 +142,7 @@ pub(super) fn refined(
 struct Subsample<'a, 'b> {
     small: &'a ProfileLikelihood<'b>,
     more: f64,
-    /// ℓ on the part below which a search gives up, when it cannot reach it.
+    /// Best known ℓ on the part; a search that cannot reach this ℓ gives up.
     best_known: Option<f64>,
     progress: &'a mut dyn Progress,
 }
@@ -157,8 +158,8 @@ impl Subsample<'_, '_> {
         Some((end.iterate.value(), SearchStart { values: end.restart(), curvature }))
     }
 
-    /// The start, or the end it leads to if ℓ of all data is no lower there; ℓ of the part at that end; and the points
-    /// that count as the same: the start that is returned, and the end if that is no other maximum.
+    /// The start, or the end of a search from the start if ℓ of all data is no lower at that end; ℓ of the part at that
+    /// end; and the points that count as one maximum: the returned start, and the end unless that is another maximum.
     fn refined(
         &mut self,
         objective: &ProfileLikelihood<'_>,

@@ -1,15 +1,15 @@
 //! A parameter θ that scales all noise: the noise level of a regression with random coefficients, say.
 //!
-//! Where every variance is proportional to θ^k, those of the filter go as λ = (θ/θ_0)^k, and its gains and sensitivities not at
-//! all. With n measurements and the residual sum of squares r at θ_0,
+//! Where every variance is proportional to θ^k, the variances of the filter are proportional to λ = (θ/θ_0)^k, and
+//! gains and sensitivities do not depend on θ. With n measurements and the residual sum of squares r at θ_0,
 //!
 //! ```text
 //! R(θ) = R/√λ      d(θ) = d/√λ      constant(θ) = constant - ½ n log λ - ½ r (1/λ - 1)
 //! ∂ℓ_j/∂log λ = ½ (r/λ + E‖d(θ) - R(θ)ξ‖² - n)      given z_j, under the law of ξ
 //! ```
 //!
-//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again only far from
-//! it. Nor are reductions needed to find (μ, Σ): the classes gathered once serve for every θ near by ([`ScalableNoise`]).
+//! so that θ moves and ∂ℓ/∂θ is known without the filters: the filters run at θ_0, and again only far from θ_0. Nor are
+//! reductions at θ needed to find (μ, Σ): the classes gathered at θ_0 serve for every θ near θ_0 ([`ScalableNoise`]).
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -23,11 +23,10 @@ use kalfit_filter::score::{Gradient, expected_square};
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{PhasedModel, Population, Slots};
 
-/// Ratio of variances to those at θ_0, up or down, beyond which the filters run again where no digit may be lost: at
-/// large ratios constants are small differences of large numbers, at small ones sums of squares have grown with their
-/// rounding errors.
+/// Ratio λ of variances, up or down, beyond which the filters run again where no digit may be lost: at large λ
+/// constants are small differences of large numbers, at small λ the rounding errors of sums of squares are magnified.
 pub(crate) const EXACT: f64 = 1e4;
-/// Such a ratio where a value is only compared with others far from it.
+/// Ratio λ beyond which the filters run again where ℓ is only compared with values of ℓ far away.
 pub(crate) const ROUGH: f64 = 1e8;
 
 /// The only free value, which scales all noise.
@@ -62,8 +61,8 @@ pub(crate) struct AtScale {
 type FilterRun<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
 
 impl Scale {
-    /// The scale of all noise; `None` where α is not such a single value, with several phases, and where some test is
-    /// not given as rows.
+    /// The only value of α as a scale of all noise; `None` where α has other values or scales not all noise, with
+    /// several phases, and where some test is not given as rows.
     pub fn of(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots) -> Option<Scale> {
         let ([slot], [phase]) = (slots.slots(), &model.phases[..]) else { return None };
         let rows = |test: &PhasedTest| matches!(test.phases[..], [Evidence::Rows(_)]);
@@ -75,8 +74,8 @@ impl Scale {
         Some(Scale { power, reference: Mutex::new(None) })
     }
 
-    /// The ensemble at a θ_0 near θ, and λ, which is within the factor `far` of 1; `None` where other values cannot be
-    /// computed from those at θ.
+    /// The ensemble at a θ_0 near θ, and λ, which is within the factor `far` of 1; `None` where results at other values
+    /// cannot be computed from results at θ.
     fn reference(
         &self,
         value: f64,
@@ -113,13 +112,13 @@ impl Scale {
         (value / reference.value).powf(self.power)
     }
 
-    /// The reductions at θ; `None` where they cannot be scaled from those at θ_0.
+    /// The reductions at θ; `None` where the reductions at θ_0 cannot be scaled.
     pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((reference, variance)) = self.reference(value, EXACT, run)? else { return Ok(None) };
         Ok(scaled(reference.reductions.clone(), variance))
     }
 
-    /// The reductions at θ at the end of a search: those at θ_0 are no longer kept.
+    /// The reductions at θ at the end of a search, scaled from the stored reductions at θ_0, which are given up.
     pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((reference, variance)) = self.reference(value, EXACT, run)? else { return Ok(None) };
         *self.reference.lock().unwrap_or_else(PoisonError::into_inner) = None;
@@ -128,7 +127,7 @@ impl Scale {
         Ok(scaled(reductions, variance))
     }
 
-    /// The reductions at θ scaled from this θ_0, whatever was requested before.
+    /// The reductions at θ scaled from θ_0 = `origin`, whatever was requested before.
     pub fn reductions_from(
         &self,
         origin: f64,
@@ -141,7 +140,7 @@ impl Scale {
         }
     }
 
-    /// dℓ_j/dθ of each test at θ and this law; `None` where there are no reductions at a θ_0.
+    /// dℓ_j/dθ of each test at θ and a given law of ξ; `None` where there are no reductions at a θ_0.
     pub fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
         let reference = self.last().filter(|_| value > 0.0)?;
         let variance = self.variance(&reference, value);

@@ -1,4 +1,4 @@
-//! Sizes found in the data, and which parameters they are sizes of.
+//! Sizes of noise and lengths of time in the data, as first guesses of parameters.
 
 use std::collections::BTreeSet;
 
@@ -14,13 +14,13 @@ const ROWS_OF_A_TEST: usize = 20_000;
 const MIN_TESTS: usize = 256;
 /// Relative accuracy of measured values and of what is computed from them.
 const ROUNDING: f64 = 1e-12;
-/// Least relative rounding that is returned: squares of its inverse are still finite.
+/// Least relative rounding ε that is returned: 1/ε² is still finite.
 const SMALLEST: f64 = 1e-60;
 
-/// Sizes found in the data.
+/// Sizes of noise and lengths of time in the data.
 #[derive(Debug)]
 pub(crate) struct Scales {
-    /// Sizes of the differences of successive measured values, by phase and measurement.
+    /// Root mean square differences of successive measured values over √2, by phase and measurement.
     noise: Vec<Vec<f64>>,
     /// Median length of a step.
     step: f64,
@@ -29,8 +29,7 @@ pub(crate) struct Scales {
 }
 
 impl Scales {
-    /// The sizes in the tests of a model, summed in an order independent of the order given: the search begins from
-    /// them.
+    /// The sizes in the tests of a model, summed in `order`, so that a search does not depend on the order of `tests`.
     pub(crate) fn of(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> Scales {
         let noise_of = |at: usize| -> Vec<f64> {
             let (columns, rows) = (model.phases[at].model.measurements.iter(), phase_rows(tests, order, at));
@@ -50,13 +49,14 @@ impl Scales {
         Scales { noise, step: median(steps).unwrap_or(1.0), span: median(spans).unwrap_or(1.0) }
     }
 
-    /// Times from `part` of the length of a step to `spans` times that of a test, each `factor` times the one before.
+    /// Times from `part` × the median length of a step to `spans` × the median length of a phase of a test, each
+    /// `factor` × the time before.
     pub(crate) fn range(&self, part: f64, spans: f64, factor: f64) -> impl Iterator<Item = f64> + use<> {
         let (first, last) = (part * self.step, spans * self.span.max(self.step));
         (0..).map(move |k| first * factor.powi(k)).take_while(move |time| *time <= last)
     }
 
-    /// Multiples of the length of a test: times far longer than a record shows.
+    /// `spans` × the median length of a phase of a test: times far longer than a record.
     pub(crate) fn beyond<const N: usize>(&self, spans: [f64; N]) -> [f64; N] {
         spans.map(|spans| spans * self.span.max(self.step))
     }
@@ -83,8 +83,8 @@ impl Scales {
     }
 }
 
-/// Rounding of the data, some thousand times that of a number, relative to the sizes of their differences: the largest
-/// of all measurements.
+/// [`ROUNDING`] × the root mean square of measured values over the size of successive differences, the largest over all
+/// measurements.
 pub(super) fn relative_rounding(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> f64 {
     let of_phase = |at: usize| {
         let rows = phase_rows(tests, order, at);
@@ -99,13 +99,13 @@ fn expressions(model: &PhasedModel) -> impl Iterator<Item = (Site, &Expression)>
     model.phases.iter().flat_map(|phase| phase.model.expressions())
 }
 
-/// The rows of one phase, of the tests that have them.
+/// The rows of one phase, over the tests that have rows in that phase.
 fn phase_rows<'a>(tests: &'a [PhasedTest], order: &[usize], at: usize) -> Vec<&'a Test> {
     let evidence = order.iter().filter_map(|&j| tests[j].phases.get(at));
     evidence.filter_map(|evidence| if let Evidence::Rows(rows) = evidence { Some(rows) } else { None }).collect()
 }
 
-/// Whether a parameter occurs at one of these sites of some phase.
+/// Whether a parameter occurs, in some phase, at a site that `at` accepts.
 fn occurs(model: &PhasedModel, parameter: usize, at: impl Fn(Site) -> bool) -> bool {
     expressions(model).any(|(site, expression)| at(site) && expression.mentions(parameter))
 }
@@ -120,13 +120,13 @@ pub(super) fn drives(model: &PhasedModel, parameter: usize) -> bool {
     occurs(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
 }
 
-/// Whether a variance was given as a standard deviation.
+/// Whether a variance is a product e × e, as made from a standard deviation e.
 fn is_square(variance: &Expression) -> bool {
     matches!(variance, Expression::Binary(Operator::Multiply, a, b) if a == b)
 }
 
-/// Root mean square of the differences of successive values within tests, over √2; where no two of these differ, the
-/// standard deviation of all values.
+/// Root mean square of the differences of successive values within tests, over √2; where all differences are zero, the
+/// standard deviation of all values; 1 where that is zero, too.
 fn differences(tests: &[&Test], column: usize) -> f64 {
     let of_test = |test: &&Test| {
         let (mut sum, mut count, mut last) = (0.0, 0.0, f64::NAN);
@@ -169,7 +169,7 @@ fn median(mut list: Vec<f64>) -> Option<f64> {
     list.get(list.len() / 2).copied()
 }
 
-/// Positive parameters that the coefficients of a motion depend on.
+/// Indices of the positive parameters that the coefficients of a motion depend on.
 pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
     let rates = expressions(model).filter(|(site, _)| matches!(site, Site::Rate { .. }));
     let used: BTreeSet<usize> = rates.flat_map(|(_, rate)| rate.parameters()).collect();

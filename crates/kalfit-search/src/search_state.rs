@@ -17,11 +17,11 @@ pub(super) const NEAR_ENOUGH: f64 = 1e2;
 pub(super) const FAR_STEP: f64 = 0.25;
 /// Decrement, in standard errors, up to which a search has arrived.
 const ARRIVED_DECREMENT: f64 = 1e-5;
-/// Part of the size suggested by the data below which a level's own value is not taken as its size.
+/// Value, relative to the size that the data suggest, below which a value is not recorded as a former size.
 const MIN_SIZE: f64 = 1e-3;
-/// Part of its former size at which a value at zero restarts.
+/// Value at which a value at zero restarts, relative to the former size.
 const RESTART_SIZE: f64 = 5e-2;
-/// Smallest rise of ℓ that counts as one.
+/// Smallest change of ℓ that counts as a rise.
 pub(super) const MIN_RISE: f64 = 1e-8;
 
 /// Start of a search.
@@ -45,25 +45,25 @@ pub struct SearchState<'b, 'a> {
     pub(crate) iterate: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
     pub(crate) trace: Vec<f64>,
-    /// The value of each coordinate before it was set to zero.
+    /// Former size of each value: the last value before zero, or the size that the data suggest.
     pub(super) before_zero: Vec<f64>,
-    /// The least value of each level: its bound, or a little more where ℓ is not defined there.
+    /// Lower limit of each value: the lower bound, or a little more where ℓ is not defined at the bound.
     pub(super) lower_limit: Vec<f64>,
     pub(super) damping: f64,
     pub(super) best_known: Option<f64>,
     pub(super) held: Option<usize>,
-    /// Whether each value was left on its way to zero or to infinity.
+    /// Whether each value was stopped on the way to zero or to infinity.
     pub(super) marked_unbounded: Vec<bool>,
     pub(super) flat_probes: usize,
     pub(super) ridges: RidgesSeen,
-    /// Decrement at the last step without new second derivatives.
+    /// Decrement at the last quasi-Newton step; `None` where no quasi-Newton step came before.
     pub(super) last_decrement: Option<f64>,
     pub(super) given_up: bool,
     /// Number of consecutive steps that did not raise ℓ.
     pub(super) flat_steps: usize,
     /// Number of consecutive steps that raised ℓ by more than predicted.
     pub(super) short_steps: usize,
-    /// Differences are two-sided, also far from the optimum.
+    /// Whether differences are two-sided far from the optimum, too.
     pub(super) is_central: bool,
     /// Whether levels enter the next step by their logarithms or by their variances.
     pub(super) level_scale: LevelScale,
@@ -72,7 +72,7 @@ pub struct SearchState<'b, 'a> {
 /// Record of the ridges of ℓ that a search has met.
 #[derive(Debug, Default)]
 pub(super) struct RidgesSeen {
-    /// Distance from the top of the ridge, in standard errors.
+    /// Largest distance of the present point from the top of a ridge, in standard errors.
     pub(super) below: f64,
     /// Number of attempts that found no ridge.
     pub(super) failures: usize,
@@ -91,17 +91,17 @@ pub struct SearchEnd {
     pub(crate) trace: Vec<f64>,
     pub(super) before_zero: Vec<f64>,
     pub(super) level_scale: LevelScale,
-    /// The search was given up: it could not reach the best end known.
+    /// Whether the search was given up because ℓ could not reach the best known end.
     pub(crate) given_up: bool,
 }
 
 impl SearchEnd {
-    /// Whether a level is at zero, or as near to it as ℓ is defined.
+    /// Whether a level is at zero, or at the least value at which ℓ is defined.
     pub(crate) fn is_at_zero(&self, s: usize) -> bool {
         self.iterate.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
     }
 
-    /// The values as a new start: those at zero are raised a little, so that they can move.
+    /// The values as a new start, with each zero raised to [`RESTART_SIZE`] times the former size.
     pub(crate) fn restart(&self) -> Vec<f64> {
         let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RESTART_SIZE * before } else { *value };
         self.iterate.values.iter().zip(&self.before_zero).map(zero).collect()
@@ -145,7 +145,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         search
     }
 
-    /// Updates where each value stands: at a bound past which ℓ rises, or free to move.
+    /// Updates the standing of each value: at a bound beyond which ℓ rises, or free to move.
     pub(super) fn update_standing(&mut self) {
         for s in 0..self.standing.len() {
             let (coordinate, value, slope) =
@@ -166,7 +166,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.held = Some(slot);
     }
 
-    /// Sets the best known ℓ: the search gives up where it cannot reach it.
+    /// Sets the best known ℓ: a search that cannot reach this ℓ is given up.
     pub(crate) fn with_best_known(mut self, best_known: Option<f64>) -> Self {
         self.best_known = best_known;
         self
@@ -179,7 +179,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.trace.len() > 3 && self.best_known.is_some_and(|best_known| promised < best_known)
     }
 
-    /// Whether the search cannot reach the best known ℓ, and no level is at zero, from where it could return.
+    /// Whether the search cannot reach the best known ℓ, and no level is at zero, from where the level could return.
     pub(super) fn is_out_of_reach(&self, decrement: f64) -> bool {
         self.cannot_reach_best(decrement) && self.zeros().is_empty()
     }
@@ -198,7 +198,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         1e-12 * self.iterate.value().abs().max(1.0)
     }
 
-    /// Whether the caller asks the search to stop.
+    /// Whether the caller requests that the search stop.
     pub(super) fn stops(&self) -> bool {
         self.progress.stops()
     }
@@ -208,14 +208,14 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.progress.stage(stage);
     }
 
-    /// Reports a step: ℓ after it, and the decrement where that is known.
+    /// Reports a step: ℓ after the step, and the decrement where known.
     pub(super) fn report_step(&mut self, decrement: Option<f64>) {
         self.trace.push(self.iterate.value());
         let passes = self.objective.filter_passes();
         self.progress.step(Step { passes, log_likelihood: self.iterate.value(), decrement });
     }
 
-    /// Gradient along the coordinates of (μ, Σ): zero where they have been solved for.
+    /// Gradient of ℓ along the tangent basis of (μ, Σ); zero where (μ, Σ) have been solved for.
     pub(super) fn inner_gradient(&self) -> &DVector<f64> {
         &self.iterate.estimate.state.newton_iterate.tangent.gradient
     }

@@ -21,7 +21,7 @@ pub struct Settings {
     pub method: Method,
     /// Settings of the search for μ and Σ; its `tolerance` holds for α too.
     pub inner: estimate::Settings,
-    /// Random starts besides the one worked out from the data.
+    /// Number of random starts, in addition to the start computed from the data.
     pub starts: usize,
     /// Seed of the random starts.
     pub seed: u64,

@@ -4,14 +4,14 @@ use crate::colours::colours;
 use crate::profile_likelihood::{OfTests, ProfileLikelihood};
 use kalfit_filter::score::Gradient;
 
-/// Which tests depend on which values.
+/// The dependences between the tests and the values of α.
 #[derive(Debug)]
 pub(super) struct JacobianSparsity {
-    /// Tests that depend on each value.
+    /// Indices of the tests that depend on each value.
     pub(super) tests: Vec<Vec<usize>>,
-    /// Values that each test depends on.
+    /// Indices of the values that each test depends on.
     pub(super) of_test: Vec<Vec<usize>>,
-    /// Whether each value stands in a matrix of the covariance structure.
+    /// Whether each value occurs in a matrix of the covariance structure.
     pub(super) matrix: Vec<bool>,
     count: usize,
 }
@@ -21,7 +21,7 @@ impl JacobianSparsity {
     pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> JacobianSparsity {
         let mut tests = vec![Vec::new(); n];
         let mentioned = |gradient: &Gradient| gradient.iter().map(|(s, _)| *s).collect();
-        // a value that affects one test affects the results of all others of its unit
+        // a value that affects one test affects the results of all tests of the same unit
         let moved = |gradient| if objective.model.levels.is_empty() { mentioned(gradient) } else { (0..n).collect() };
         let of_test: Vec<Vec<usize>> = all.scores.iter().map(moved).collect();
         for (j, slots) in of_test.iter().enumerate() {
@@ -37,7 +37,7 @@ impl JacobianSparsity {
         self.tests[s].len() == self.count
     }
 
-    /// Sets of values that no test has in common; with `apart`, each value alone.
+    /// Sets of active values without a common test; with `apart`, one set per value.
     pub(super) fn colours(&self, active: &[usize], apart: bool) -> Vec<Vec<usize>> {
         if apart {
             return active.iter().map(|&s| vec![s]).collect();

@@ -1,27 +1,28 @@
-//! What is known of one free value of α.
+//! Results of inference on the free values of α.
 
 /// Lower and upper end; an end is `None` where no limit was found.
 pub type Interval = Option<[Option<f64>; 2]>;
 
-/// What is known of one free value of α.
+/// Standard error, interval and standing of one free value of α.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterInference {
     /// Standard error; `None` at a bound, and where the data do not determine the value.
     pub std_error: Option<f64>,
     /// 95 % interval.
     pub interval: Interval,
-    /// Where the value lies.
+    /// Standing of the value: inside the bounds, at a bound, or not determined.
     pub standing: Standing,
 }
 
-/// Where a free value of α lies.
+/// Standing of a free value of α: inside the bounds, at a bound, or not determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
     /// Inside its bounds.
     Inside,
     /// At its lower bound, or at zero.
     Lower,
-    /// A noise level that ℓ would have at zero, where a measurement would be exact: kept a little above it.
+    /// A noise level a little above zero: ℓ is highest towards zero, where a measurement would be exact and ℓ is not
+    /// defined.
     Vanishing,
     /// At its upper bound.
     Upper,
@@ -29,8 +30,8 @@ pub enum Standing {
     Edge,
     /// ℓ still rises, ever more slowly, towards infinity: a time constant far longer than the records.
     Unbounded,
-    /// ℓ does not depend on the value while some noise level is zero: its time constant, its correlation.
+    /// ℓ does not depend on the value while some noise level is zero: a time constant or a correlation of that noise.
     Idle,
-    /// ℓ does not depend on the value, or no longer once others follow it.
+    /// ℓ does not depend on the value, or does not once other values adapt.
     Unidentified,
 }

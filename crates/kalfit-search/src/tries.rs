@@ -1,30 +1,30 @@
-//! Cheap trials of ℓ: over many powers of ten of one parameter.
+//! Cheap trials of ℓ over several powers of ten of one parameter.
 
 use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_estimate::{Progress, Stage};
 
 /// Ratio of successive values tried for a logarithm.
 pub(super) const TRIAL_FACTOR: f64 = 4.0;
-/// Number of values tried to each side.
+/// Number of values tried above the middle value, and below.
 const POWERS_EACH_SIDE: i32 = 6;
-/// Largest power of this factor by which a value may be off the size that the data suggest and still be the middle of
-/// the trials.
+/// Distance of a value from the size that the data suggest, in powers of [`TRIAL_FACTOR`], up to which the value is the
+/// middle of the trials.
 const MAX_POWERS_OFF: f64 = 4.0;
 /// Number of points that are evaluated between two checks whether the caller still waits.
 const BATCH: usize = 8;
 /// Difference of ℓ that may be rounding.
 const ROUNDING: f64 = 1e-8;
-/// Step, in powers of the factor, by which the time constant of a nearly white process is lengthened.
+/// Step, in powers of [`TRIAL_FACTOR`], by which the time constant of a nearly white process is lengthened.
 const FINE_STEP: f64 = 0.25;
-/// Number of these steps.
+/// Number of steps of [`FINE_STEP`] tried.
 const FINE_STEPS: usize = 12;
 /// Values tried for a parameter that is not sought by its logarithm.
 const OTHER_VALUES: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
-/// Rise of ℓ that each later one of these values must bring: where a coefficient and a mean move as one, large values
-/// cost digits.
+/// Rise of ℓ above which a later one of [`OTHER_VALUES`] replaces an earlier one: where a mean compensates a
+/// coefficient, large values cost digits.
 const MIN_RISE: f64 = 1e-3;
 
-/// ℓ at each of some points, with reports of progress; points have no value once the caller no longer waits.
+/// ℓ at each point, with reports of progress; `None` where ℓ is not defined, and once the caller no longer waits.
 pub(super) fn tried(
     small: &ProfileLikelihood<'_>,
     places: &[Vec<f64>],
@@ -38,7 +38,7 @@ pub(super) fn tried(
     places.chunks(at_a_time).flat_map(some).collect()
 }
 
-/// Sets all levels of one parameter to the best of many powers of a factor.
+/// Sets all levels of one parameter to the best trial values of `grid`.
 pub(super) fn scan(
     small: &ProfileLikelihood<'_>,
     parameter: usize,
@@ -54,7 +54,7 @@ pub(super) fn scan(
     }
 }
 
-/// The best values, with all levels of one parameter multiplied by many powers of a factor, and ℓ there.
+/// The best values over the trials of one parameter (`grid`), and ℓ there.
 pub(super) fn best_of(
     objective: &ProfileLikelihood<'_>,
     parameter: usize,
@@ -63,12 +63,12 @@ pub(super) fn best_of(
 ) -> Option<(Vec<f64>, f64)> {
     let with_likelihood = with_likelihood(objective, grid(objective, parameter, values), progress);
     let highest = with_likelihood.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
-    // the last of those that are equal within rounding: the longest time constant of a nearly white process
+    // the last of the values of ℓ that are equal within rounding: the longest time constant of a nearly white process
     with_likelihood.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
 }
 
-/// Lengthens the time constant of a nearly white process to where ℓ is highest: while it affects only the shortest
-/// steps, ℓ may rise and fall again between the powers tried elsewhere.
+/// Lengthens the time constant of a nearly white process, in fine steps, to the highest ℓ: while the time constant
+/// affects only the shortest steps of a record, ℓ may rise and fall again between two powers of [`TRIAL_FACTOR`].
 pub(super) fn longer(
     objective: &ProfileLikelihood<'_>,
     parameter: usize,
@@ -91,7 +91,7 @@ fn grid(small: &ProfileLikelihood<'_>, parameter: usize, values: &[f64]) -> Vec<
     let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
         values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
     };
-    // the size that the data suggest, where a search has gone far from it
+    // the size that the data suggest, where a value is far from that size
     let middle = |s: usize, v: f64| {
         let unit = small.units()[s];
         if (v / unit).ln().abs() <= MAX_POWERS_OFF * TRIAL_FACTOR.ln() { v } else { unit }
@@ -127,7 +127,7 @@ fn best(
         .reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
 }
 
-/// Starts at maxima of ℓ over the powers of a time constant, other than the one at the first start.
+/// Up to three maxima of ℓ over the trials of a parameter (`grid`), without a maximum near the first start.
 pub(super) fn other_maxima(
     small: &ProfileLikelihood<'_>,
     parameter: usize,

@@ -1,12 +1,12 @@
-//! Whether ℓ has a maximum at all. Where the data fit the model exactly it has none: it rises without bound as noise levels go to zero
-//! together.
+//! Whether ℓ has a maximum. Where the data fit the model exactly, ℓ has no maximum: ℓ rises without bound as noise
+//! levels go to zero together.
 //!
 //! ```text
-//! ℓ = -n log σ - ½ r/σ² + constant       as soon as σ is small beside all else; r: squares of residuals
+//! ℓ = -n log σ - ½ r/σ² + constant       where σ is small relative to all else; r: sum of squared residuals
 //! ```
 //!
-//! With r = 0 each power of ten of σ raises ℓ by as much as the one before, down to where the rounding of the data
-//! matters. With any noise in the data ℓ falls before that.
+//! With r = 0 each division of σ by ten raises ℓ by the same amount, down to where the rounding of the data matters.
+//! With noise in the data, ℓ falls at larger σ already.
 
 use crate::Standing;
 use crate::coordinates::Coordinate;
@@ -15,23 +15,24 @@ use crate::scales::relative_rounding;
 use crate::search_state::SearchEnd;
 use kalfit_estimate::Stop;
 
-/// Part of the size suggested by the data below which a level is on its way to zero.
+/// Value of a level, relative to the size that the data suggest, below which the level is on the way to zero.
 const NEAR_ZERO: f64 = 1e-2;
 /// Number of powers of ten by which levels are below the sizes suggested by the data where ℓ is first evaluated.
 const FIRST_DEPTH: f64 = 3.0;
-/// Number of steps from there to where rounding matters.
+/// Number of steps from [`FIRST_DEPTH`] to the depth at which rounding matters.
 const STEPS: usize = 3;
-/// Least range of all these steps, in powers of ten: over a smaller one, noise cannot be distinguished from rounding.
+/// Least total length of these steps, in powers of ten: over a shorter range, noise cannot be distinguished from
+/// rounding.
 const MIN_DEPTH_RANGE: f64 = 2.0;
-/// Least rise of ℓ for a power of ten that counts: a single exact measurement gives log 10.
+/// Least rise of ℓ per power of ten that counts as unbounded; a single exact measurement gives log 10.
 const MIN_RISE: f64 = 1.0;
 /// Relative difference up to which rises are equal.
 const EQUAL: f64 = 0.02;
-/// Number of levels above which they are not examined one by one.
+/// Number of levels above which levels are not examined one by one.
 const MAX_SINGLE: usize = 8;
 
-/// The end where ℓ rises without bound, and the levels that go to zero there: the best end, or the highest uncertified
-/// one above it.
+/// Index of an end from which ℓ rises without bound, and slots of the levels that go to zero; candidates are the best
+/// end and the highest uncertified end above the best one.
 pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
     let value = |at: usize| ends[at].iterate.value();
     let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
@@ -40,8 +41,8 @@ pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: 
     places.find_map(|at| Some((at, levels(objective, &ends[at])?)))
 }
 
-/// Whether an end is not certified, has levels that a search left on their way to zero, or levels that only rounding of
-/// the data kept from it.
+/// Whether an end is uncertified, or has a level that a search stopped on the way to zero or that is below the size at
+/// [`FIRST_DEPTH`].
 fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
     let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
     let tiny = |s: usize| {
@@ -56,7 +57,7 @@ fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
     }
 }
 
-/// The fewest levels found with which ℓ rises without bound as they go to zero together.
+/// Slots of the smallest set found of levels that raise ℓ without bound as all of the set go to zero together.
 fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
     let depth = depth(objective)?;
     let (values, units) = (&end.iterate.values, objective.units());
@@ -92,7 +93,7 @@ fn can_vanish(coordinate: &Coordinate) -> bool {
 }
 
 /// Number of powers of ten by which levels can be below the sizes suggested by the data before rounding matters; `None`
-/// where it is too small to decide.
+/// where this number is too small to decide.
 fn depth(objective: &ProfileLikelihood<'_>) -> Option<f64> {
     let depth = -relative_rounding(objective.model, objective.tests, objective.order()).log10();
     (depth >= FIRST_DEPTH + MIN_DEPTH_RANGE).then_some(depth)
@@ -103,7 +104,7 @@ fn lowered_level(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
     unit * 10f64.powf(-2.0 * powers / coordinate.level.unwrap_or(2.0))
 }
 
-/// Whether ℓ rises equally with each power of ten by which these levels fall.
+/// Whether ℓ rises equally with each power of ten by which the levels of `set` fall.
 fn rises(objective: &ProfileLikelihood<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
     let step = (depth - FIRST_DEPTH) / STEPS as f64;
     let at = |k: usize| {

@@ -91,7 +91,9 @@ mod tests {
             let mut found = Vec::new();
             for (f, step) in self.0.chunks_exact(T::COUNT).zip(self.1.chunks_exact(T::COUNT)) {
                 let lane_flows = scalar_flows(T::load(f), T::splat(1.7), T::load(step));
-                (0..T::COUNT).for_each(|lane| found.push([lane_flows[0].lane(lane), lane_flows[1].lane(lane), lane_flows[2].lane(lane)]));
+                (0..T::COUNT).for_each(|lane| {
+                    found.push([lane_flows[0].lane(lane), lane_flows[1].lane(lane), lane_flows[2].lane(lane)])
+                });
             }
             found
         }

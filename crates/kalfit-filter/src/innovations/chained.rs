@@ -83,26 +83,26 @@ impl ChainedFilter {
     ) -> Vec<Result<Option<Innovations>, ReduceError>> {
         let carries = self.reducer.phases();
         let plain = self.plain.series(tests, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells));
-        tests.iter().zip(plain).map(|(whole, series)| self.one(whole, series, &mut room.phases)).collect()
+        tests.iter().zip(plain).map(|(whole, series)| self.test_innovations(whole, series, &mut room.phases)).collect()
     }
 
     /// The innovations of a test: `plain`, if plain covariances gave innovations, else the result of `by_square_roots`,
     /// which decides whether an invalid covariance is only rounding, and reports any other error.
-    fn one(
+    fn test_innovations(
         &self,
         whole: &PhasedTest,
         plain: Option<Vec<Innovation>>,
         work: &mut PhasedWork,
     ) -> Result<Option<Innovations>, ReduceError> {
         self.reducer.check(whole)?;
-        let (series, rest, has_innovations) = match plain {
+        let (series, other_log_density, has_innovations) = match plain {
             Some(series) => (series, 0.0, true),
             None => self.by_square_roots(whole, work)?,
         };
         if !rows::are_finite(&series) {
             return Err(refuse(Some(&whole.id), "innovations", ReduceErrorKind::NotFinite));
         }
-        Ok(has_innovations.then(|| Innovations::new(whole.id.to_string(), series, rest)))
+        Ok(has_innovations.then(|| Innovations::new(whole.id.to_string(), series, other_log_density)))
     }
 
     /// (innovations, log p of the phases without innovations, true if a phase has innovations) of a test, computed in
@@ -113,7 +113,7 @@ impl ChainedFilter {
         work: &mut PhasedWork,
     ) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
         let (mut series, mut has_innovations) = (Vec::new(), false);
-        let rest = self.through(whole, work, &mut |(at, rows), gains, work, law| {
+        let other_log_density = self.through(whole, work, &mut |(at, rows), gains, work, law| {
             let take = |e: f64, weight: f64, sensitivity: &[f64]| {
                 let (value, variance) = law.take(e, sensitivity, weight);
                 Figures { value, variance, standardised: value / variance.sqrt() }
@@ -121,7 +121,7 @@ impl ChainedFilter {
             series.extend(rows::series((at, rows, self.phases[at].time), gains, work, take));
             has_innovations = true;
         })?;
-        Ok((series, rest, has_innovations))
+        Ok((series, other_log_density, has_innovations))
     }
 
     /// Filters a test phase by phase, in square roots. `take` takes the rows of each phase that is filtered here into
@@ -132,7 +132,7 @@ impl ChainedFilter {
         work: &mut PhasedWork,
         take: &mut GainsVisitor<'_>,
     ) -> Result<f64, ReduceError> {
-        let mut rest = 0.0;
+        let mut other_log_density = 0.0;
         let mut before: Option<FilteredPhase> = None;
         for (at, evidence) in whole.phases.iter().enumerate() {
             let room = (&mut work.phases[at], &mut work.cells);
@@ -141,11 +141,11 @@ impl ChainedFilter {
                 Evidence::Rows(rows) if !self.phases[at].filtered => {
                     self.filtered((at, rows), room, before.as_ref(), take)?
                 }
-                _ => self.given(at, (whole, linked), room, before.as_ref(), &mut rest)?,
+                _ => self.take_given_phase(at, (whole, linked), room, before.as_ref(), &mut other_log_density)?,
             };
             before = Some(after);
         }
-        Ok(rest)
+        Ok(other_log_density)
     }
 
     /// Filters the rows of a phase.
@@ -171,7 +171,7 @@ impl ChainedFilter {
 
     /// Takes in a phase that is given otherwise than by rows, and adds log p of the phase given all earlier phases to
     /// `log_density`.
-    fn given(
+    fn take_given_phase(
         &self,
         at: usize,
         (whole, linked): (&PhasedTest, bool),
@@ -204,9 +204,9 @@ impl FilteredPhase {
         let (m, f) = &self.law;
         let state = mean + sensitivity * m;
         let (carried, own) = (sensitivity * f, root.ncols());
-        let mut all = carried.resize_horizontally(f.ncols() + own, 0.0);
-        all.columns_mut(f.ncols(), own).copy_from(root);
-        (transition * state + input, transition * all)
+        let mut joint_root = carried.resize_horizontally(f.ncols() + own, 0.0);
+        joint_root.columns_mut(f.ncols(), own).copy_from(root);
+        (transition * state + input, transition * joint_root)
     }
 }
 
@@ -214,11 +214,11 @@ impl FilteredPhase {
 fn absorb(phase: ReductionRef<'_>, law: &mut EnteringLaw) -> f64 {
     let q = phase.data.len();
     let mut log_density = phase.constant;
-    let mut line = vec![0.0; q];
+    let mut factor_row = vec![0.0; q];
     for i in 0..q {
-        line.fill(0.0);
-        (i..q).for_each(|k| line[k] = phase.factor[i + k * (k + 1) / 2]);
-        let (value, variance) = law.take(phase.data[i], &line, 1.0);
+        factor_row.fill(0.0);
+        (i..q).for_each(|k| factor_row[k] = phase.factor[i + k * (k + 1) / 2]);
+        let (value, variance) = law.take(phase.data[i], &factor_row, 1.0);
         log_density -= 0.5 * (variance.ln() + value * value / variance);
     }
     log_density

@@ -19,7 +19,7 @@ struct ChannelSpan {
     range: Range<usize>,
 }
 
-/// The innovations of one measurement of one phase.
+/// The innovations of measurement `measurement` of phase `phase`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel<'a> {
     pub(super) phase: usize,

@@ -35,14 +35,14 @@ impl EnteringLaw {
         EnteringLaw { mean, root, information, row: Vec::with_capacity(width), whitened_row: Vec::with_capacity(width) }
     }
 
-    /// Takes in e = t'σ + v, v ~ N(0, 1/weight); returns its innovation and the innovation's variance.
+    /// Takes in e = t'σ + v, v ~ N(0, 1/weight); returns (innovation, S).
     pub fn take(&mut self, e: f64, t: &[f64], weight: f64) -> (f64, f64) {
         let width = self.root.ncols() + 1;
         let (row, whitened_row) = (&mut self.row, &mut self.whitened_row);
         row.clear();
         row.extend(self.root.column_iter().map(|f| f.iter().zip(t).map(|(f, t)| f * t).sum::<f64>()));
-        let known: f64 = self.mean.iter().zip(t).map(|(m, t)| m * t).sum();
-        row.push(e - known);
+        let prior_value: f64 = self.mean.iter().zip(t).map(|(m, t)| m * t).sum();
+        row.push(e - prior_value);
         whitened_row.clear();
         whitened_row.extend_from_slice(&row[..width - 1]);
         solve_transposed(&self.information, width, whitened_row);
@@ -50,8 +50,8 @@ impl EnteringLaw {
             whitened_row.iter().enumerate().map(|(k, w)| w * self.information[k * width + width - 1]).sum();
         let variance = weight.recip() + whitened_row.iter().map(|w| w * w).sum::<f64>();
         let value = row[width - 1] - expected;
-        let unit = weight.sqrt();
-        row.iter_mut().for_each(|x| *x *= unit);
+        let sqrt_weight = weight.sqrt();
+        row.iter_mut().for_each(|x| *x *= sqrt_weight);
         fold_row(&mut self.information, row, |_, _| {});
         (value, variance)
     }
@@ -64,7 +64,7 @@ impl EnteringLaw {
         let mut mean = self.mean.clone();
         let mut line = vec![0.0; c];
         for i in 0..root.nrows() {
-            line.iter_mut().zip(self.root.row(i).iter()).for_each(|(to, from)| *to = *from);
+            line.iter_mut().zip(self.root.row(i).iter()).for_each(|(entry, root_entry)| *entry = *root_entry);
             solve_transposed(&self.information, width, &mut line);
             for (k, &x) in line.iter().enumerate() {
                 root[(i, k)] = x;

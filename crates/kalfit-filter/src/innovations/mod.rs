@@ -9,7 +9,7 @@
 //! ```
 //!
 //! and Σ -½ (log 2πS + e²/S) is the log-likelihood of the test (theory §3), computed in another way. The figures take
-//! μ, Σ and α as known; that these were estimated from the same tests makes the checks milder, not stricter, in small
+//! μ, Σ and α as known; estimates of μ, Σ and α from the checked tests make the checks milder, not stricter, in small
 //! ensembles.
 //!
 //! There is one filter, that of [`reduce`](crate::reduce). What Σ and earlier phases imply for the start of a phase
@@ -36,7 +36,7 @@ pub use whiteness::Whiteness;
 pub use chained::ChainedFilter;
 pub use law::EnteringLaw;
 
-use crate::reduce::{ReduceError, chunk_size, of_shape, refuse};
+use crate::reduce::{ReduceError, check_shape, chunk_size, refuse};
 use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
 
@@ -67,7 +67,7 @@ impl InnovationFilter {
     /// # Errors
     /// As [`innovations`], except for the errors of single tests.
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
-        check(model, initial)?;
+        check_shapes(model, initial)?;
         let has_no_innovations = matches!(&model.phases[..], [only] if only.filter.is_some());
         let chained = (!has_no_innovations).then(|| ChainedFilter::new(model, alpha, initial)).transpose()?;
         Ok(InnovationFilter(chained.map(Box::new)))
@@ -87,11 +87,11 @@ impl InnovationFilter {
 }
 
 /// Checks that `initial` has the shapes of the model: p, number of regressions, p × p.
-fn check(model: &PhasedModel, initial: &Population) -> Result<(), ReduceError> {
+fn check_shapes(model: &PhasedModel, initial: &Population) -> Result<(), ReduceError> {
     let (p, regressors) =
         (model.dimension(), model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum::<usize>());
     let shaped = |what: &str, found: (usize, usize), expected: (usize, usize)| {
-        of_shape(found, expected).map_err(|kind| refuse(None, what, kind))
+        check_shape(found, expected).map_err(|kind| refuse(None, what, kind))
     };
     shaped("mean of the initial state", (initial.mean.len(), 1), (p, 1))?;
     shaped("regression coefficients", (initial.coefficients.len(), 1), (regressors, 1))?;

@@ -21,7 +21,7 @@ pub(super) struct PhasePrior {
 
 impl PhasePrior {
     /// μ plus regressions on the covariates: the phase's addition to the mean of σ, q numbers.
-    pub(super) fn mean_of(&self, covariates: &[f64], q: usize) -> DVector<f64> {
+    pub(super) fn mean_with_covariates(&self, covariates: &[f64], q: usize) -> DVector<f64> {
         let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));
         for (&(element, coefficient), covariate) in self.regressions.iter().zip(covariates) {
             mean[element] += coefficient * covariate;
@@ -38,13 +38,13 @@ impl PhasePrior {
         inherited: Option<(DVector<f64>, DMatrix<f64>)>,
     ) -> EnteringLaw {
         let p = self.mean.len();
-        let mut mean = self.mean_of(covariates, q);
-        let own = self.root.clone().resize_vertically(q, 0.0);
-        let Some((more, carried)) = inherited else { return EnteringLaw::new(mean, &own) };
-        mean += more;
-        let mut all = DMatrix::zeros(q, p + carried.ncols());
-        all.columns_mut(0, p).copy_from(&own);
-        all.columns_mut(p, carried.ncols()).copy_from(&carried);
-        EnteringLaw::new(mean, &all)
+        let mut mean = self.mean_with_covariates(covariates, q);
+        let prior_root = self.root.clone().resize_vertically(q, 0.0);
+        let Some((inherited_mean, carried)) = inherited else { return EnteringLaw::new(mean, &prior_root) };
+        mean += inherited_mean;
+        let mut joint_root = DMatrix::zeros(q, p + carried.ncols());
+        joint_root.columns_mut(0, p).copy_from(&prior_root);
+        joint_root.columns_mut(p, carried.ncols()).copy_from(&carried);
+        EnteringLaw::new(mean, &joint_root)
     }
 }

@@ -1,4 +1,4 @@
-//! Innovations in plain covariances: one filter over all phases that starts from the known law of what enters.
+//! Innovations in plain covariances: one filter over all phases; each phase starts from the known law of σ.
 //!
 //! With nothing unknown, σ ~ N(m, C) is part of a and P0 of a phase, as Σ is in a test of one phase. From the last step
 //! of a phase, the next phase has
@@ -67,7 +67,7 @@ struct Track {
 /// failed before.
 struct PhaseBatch<'a> {
     at: usize,
-    known: &'a PhaseFilter,
+    phase_filter: &'a PhaseFilter,
     time: Option<usize>,
     rows: Vec<Option<&'a Test>>,
 }
@@ -99,15 +99,15 @@ impl PhaseFilters {
         (starts, carries): (&[PhasePrior], &[PhaseReducer]),
         (scratch, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
     ) -> Vec<Option<Vec<Innovation>>> {
-        let plain =
+        let is_plain_phase =
             |(evidence, start): (&Evidence, &PhasePrior)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
-        let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(plain).then(Track::default);
+        let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(is_plain_phase).then(Track::default);
         let mut tracks: Vec<Option<Track>> = tests.iter().map(track).collect();
-        for (at, (known, scratch)) in self.phases.iter().zip(scratch).enumerate() {
+        for (at, (phase_filter, scratch)) in self.phases.iter().zip(scratch).enumerate() {
             let rows = |(test, track): (_, &Option<Track>)| rows_of(test, at).filter(|_| track.is_some());
             let rows: Vec<Option<&Test>> = tests.iter().zip(&tracks).map(rows).collect();
-            let stage = PhaseBatch { at, known, time: starts[at].time, rows };
-            stage.run((&starts[at], &carries[at]), &mut tracks, (scratch, cells));
+            let phase_batch = PhaseBatch { at, phase_filter, time: starts[at].time, rows };
+            phase_batch.run((&starts[at], &carries[at]), &mut tracks, (scratch, cells));
         }
         tracks.into_iter().map(|track| track.map(|track| track.series)).collect()
     }
@@ -138,7 +138,7 @@ impl PhaseBatch<'_> {
             &mut GatheredCells,
         ),
     ) {
-        let PhaseFilter { reducer, is_only_phase, .. } = self.known;
+        let PhaseFilter { reducer, is_only_phase, .. } = self.phase_filter;
         let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
         let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
         let mut entering: Vec<EnteringMoments> = tests.iter().map(|_| EnteringMoments::default()).collect();
@@ -152,7 +152,7 @@ impl PhaseBatch<'_> {
                 add_to_track(&mut tracks[number], found);
                 continue;
             }
-            match self.known.entering((rows, &skeleton.covariates), of, before.as_ref(), cells) {
+            match self.phase_filter.entering((rows, &skeleton.covariates), of, before.as_ref(), cells) {
                 Some(law) => {
                     entering[place] = law;
                     own.push(skeleton);
@@ -164,8 +164,9 @@ impl PhaseBatch<'_> {
         batch_workspace.pass(reducer, (&tests, own, &entering), &mut work.scratch, |skeleton, passed| {
             let place = skeleton.number;
             let found = passed.map(|passed| {
-                let each = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
-                let series = rows::listed((self.at, tests[place], self.time), skeleton.measured(), each);
+                let row_figures = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
+                let series =
+                    rows::list_innovations((self.at, tests[place], self.time), skeleton.measured(), row_figures);
                 (series, passed.end.map(|end| end.terminal()))
             });
             // with only one phase, tests that need square roots may be filtered one at a time
@@ -190,9 +191,10 @@ impl PhaseBatch<'_> {
         before: Option<&Terminal>,
         (work, cells): (&mut Workspace, &mut GatheredCells),
     ) -> Option<PhaseResult> {
-        let PhaseFilter { reducer, .. } = self.known;
+        let PhaseFilter { reducer, .. } = self.phase_filter;
         reducer.preparer().prepare(rows, work).ok()?;
-        let EnteringMoments { mean, variance } = self.known.entering((rows, &work.covariates), of, before, cells)?;
+        let EnteringMoments { mean, variance } =
+            self.phase_filter.entering((rows, &work.covariates), of, before, cells)?;
         mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
         variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
         let result_of_gains = |gains: &Gains, work: &mut Workspace| self.result_of_gains(rows, gains, work);
@@ -202,11 +204,11 @@ impl PhaseBatch<'_> {
     /// Innovations and last state from the gains; `None` where square-root arrays made the gains and the
     /// model has other phases.
     fn result_of_gains(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<PhaseResult> {
-        if gains.rotations.is_some() && !self.known.is_only_phase {
+        if gains.rotations.is_some() && !self.phase_filter.is_only_phase {
             return None;
         }
         let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));
-        let states = &self.known.reducer.preparer().order.states;
+        let states = &self.phase_filter.reducer.preparer().order.states;
         Some((found, gains.terminal(states, &work.pass.x)))
     }
 }
@@ -236,7 +238,7 @@ impl PhaseFilter {
         cells: &mut GatheredCells,
     ) -> Option<EnteringMoments> {
         let q = self.entering.len();
-        let mut mean: DVector<f64> = start.mean_of(covariates, q);
+        let mut mean: DVector<f64> = start.mean_with_covariates(covariates, q);
         let mut carried = DMatrix::zeros(q, 0);
         if let Some(Terminal { mean: state, root, .. }) = before {
             let inherited = carry.inherited(rows, cells).ok()?;

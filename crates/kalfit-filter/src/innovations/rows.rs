@@ -23,22 +23,22 @@ pub(crate) fn series(
     single_test_innovations(gains, work);
     let Workspace { design, instances, pass, .. } = work;
     let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |_| step));
-    let each = pass.e.iter().enumerate().map(|(row, &e)| {
+    let row_figures = pass.e.iter().enumerate().map(|(row, &e)| {
         let (weight, _, sensitivity) = gains.row(row);
         (weight > 0.0).then(|| figures(e, weight, sensitivity))
     });
-    listed(place, steps.zip(instances.iter()), each)
+    list_innovations(place, steps.zip(instances.iter()), row_figures)
 }
 
 /// Innovations in the order of `measured`, which gives (step, measurement); measurements without figures are omitted.
 /// The first argument is (phase, rows, column of times).
-pub(crate) fn listed(
+pub(crate) fn list_innovations(
     (phase, rows, time): (usize, &Test, Option<usize>),
     measured: impl Iterator<Item = (usize, Instance)>,
-    each: impl Iterator<Item = Option<Figures>>,
+    row_figures: impl Iterator<Item = Option<Figures>>,
 ) -> Vec<Innovation> {
-    let mut series = Vec::with_capacity(each.size_hint().1.unwrap_or(0));
-    for ((step, instance), figures) in measured.zip(each) {
+    let mut series = Vec::with_capacity(row_figures.size_hint().1.unwrap_or(0));
+    for ((step, instance), figures) in measured.zip(row_figures) {
         if let Some(Figures { value, variance, standardised }) = figures {
             let time = time.map(|column| rows.numbers(instance.row)[column]);
             series.push(Innovation { phase, step, time, measurement: instance.meter, value, variance, standardised });

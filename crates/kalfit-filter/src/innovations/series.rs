@@ -1,4 +1,4 @@
-//! The innovations of one test and their summary.
+//! The innovations of one test and the summary of the innovations.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -6,7 +6,7 @@ use crate::innovations::Whiteness;
 use crate::innovations::channels::{Channel, Channels};
 use crate::innovations::innovation::Innovation;
 
-/// The innovations of a test, in the order in which the filter takes its measurements, and their summary.
+/// The innovations of a test, in the order in which the filter takes the measurements, and a summary.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Innovations {
     /// Id of the test.
@@ -19,7 +19,7 @@ pub struct Innovations {
     pub log_likelihood: f64,
 }
 
-/// Summary of innovations: their number, size, mean and whiteness.
+/// Summary of innovations: number, size, mean and whiteness of the innovations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Summary {
     /// Number n of innovations. Measurements that can only have one value are not counted.
@@ -48,12 +48,12 @@ pub struct Part {
 }
 
 impl Innovations {
-    /// The innovations of a test with their summary; `rest` is log p of phases without innovations.
-    pub(crate) fn new(test: String, series: Vec<Innovation>, rest: f64) -> Innovations {
+    /// The innovations of a test with the summary; the last argument is log p of phases without innovations.
+    pub(crate) fn new(test: String, series: Vec<Innovation>, other_log_density: f64) -> Innovations {
         let logs = series.iter().map(|one| (std::f64::consts::TAU * one.variance).ln()).sum::<f64>();
         let all = series.iter().map(|one| one.standardised);
         let summary = Summary::of(all, Whiteness::of(Channels::of(&series).each().map(|one| one.standardised)));
-        Innovations { test, log_likelihood: rest - 0.5 * (logs + summary.nis), summary, series }
+        Innovations { test, log_likelihood: other_log_density - 0.5 * (logs + summary.nis), summary, series }
     }
 
     /// Summaries for each measurement of each phase that has innovations, in the order of phases and measurements. The

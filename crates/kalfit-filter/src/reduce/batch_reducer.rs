@@ -31,9 +31,9 @@ const MAX_COLLECTED_STEPS: usize = 1 << 18;
 struct BatchReducer<'a> {
     reducer: &'a Reducer,
     work: Workspace,
-    /// Skeletons of the collected tests; `unused` holds skeletons for further tests.
+    /// Skeletons of the collected tests.
     own: Vec<Skeleton>,
-    unused: Vec<Skeleton>,
+    unused_skeletons: Vec<Skeleton>,
     batch_work: BatchWorkspace,
 }
 
@@ -58,9 +58,9 @@ impl Reducer {
     pub(crate) fn reduce_each(&self, tests: &[&Test], replicates: &Replicates) -> ReducedTests {
         let (mut all, many, alone) = (ReducedTests::default(), replicates.len(), &replicates.alone);
         let size = chunk_size(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
-        for some in alone.chunks(CHUNKS_PER_ROUND * size) {
+        for round_indices in alone.chunks(CHUNKS_PER_ROUND * size) {
             let own = |batch: &mut BatchReducer<'_>, numbers: &[usize]| batch.reduce(tests, numbers);
-            all.take(some.par_chunks(size).map_init(|| BatchReducer::new(self), own).collect(), many);
+            all.take(round_indices.par_chunks(size).map_init(|| BatchReducer::new(self), own).collect(), many);
         }
         for lists in replicates.lists().chunks(LISTS_PER_ROUND) {
             let set = |(mut work, mut found): (Workspace, ReducedTests), set: &&[usize]| {
@@ -82,7 +82,7 @@ impl Reducer {
 impl<'a> BatchReducer<'a> {
     fn new(reducer: &'a Reducer) -> BatchReducer<'a> {
         let (work, batch_work) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
-        BatchReducer { reducer, work, own: Vec::new(), unused: Vec::new(), batch_work }
+        BatchReducer { reducer, work, own: Vec::new(), unused_skeletons: Vec::new(), batch_work }
     }
 
     /// Reductions and errors of the tests with indices `numbers`; in the order of the tests if no last states are
@@ -90,7 +90,7 @@ impl<'a> BatchReducer<'a> {
     fn reduce(&mut self, tests: &[&Test], numbers: &[usize]) -> ReducedTests {
         let mut found = ReducedTests::default();
         for &number in numbers {
-            let mut own = self.unused.pop().unwrap_or_default();
+            let mut own = self.unused_skeletons.pop().unwrap_or_default();
             if self.reducer.preparer().skeleton(tests[number], number, &mut self.work, &mut own) {
                 self.own.push(own);
                 let steps: usize = self.own.iter().map(Skeleton::len).sum();
@@ -98,7 +98,7 @@ impl<'a> BatchReducer<'a> {
                     self.reduce_collected(tests, &mut found);
                 }
             } else {
-                self.unused.push(own);
+                self.unused_skeletons.push(own);
                 found.exceptional.push(number);
             }
         }
@@ -114,7 +114,7 @@ impl<'a> BatchReducer<'a> {
         let BatchReducer { reducer, work, own, batch_work, .. } = self;
         batch_work.reduce(reducer, (tests, own), &mut work.scratch, found);
         self.own.retain(|own| own.len() < MAX_COLLECTED_STEPS / TESTS_PER_LANE);
-        self.unused.append(&mut self.own);
+        self.unused_skeletons.append(&mut self.own);
     }
 }
 
@@ -211,7 +211,7 @@ mod tests {
         let mut seed = Lcg(5);
         let mut random = || 0.5 + seed.next();
         let norm = |numbers: &[f64]| numbers.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let apart =
+        let distance =
             |found: &[f64], other: &[f64]| norm(&found.iter().zip(other).map(|(a, b)| a - b).collect::<Vec<f64>>());
         let mut many = [0; 4];
         for round in 0..600 {
@@ -235,8 +235,8 @@ mod tests {
             // d is a projection of all innovations, in units of their standard deviations
             let all = norm(&root.data) + root.residual.expect("it was made of measurements").sqrt();
             let errors = [
-                apart(&found.factor, &root.factor) / norm(&root.factor),
-                apart(&found.data, &root.data) / all,
+                distance(&found.factor, &root.factor) / norm(&root.factor),
+                distance(&found.data, &root.data) / all,
                 (found.constant - root.constant).abs() / (1.0 + root.constant.abs()),
             ];
             assert!(errors.iter().all(|&x| x < 1e-9), "{processes} processes, round {round}: {found:?} for {root:?}");

@@ -62,13 +62,13 @@ pub(crate) struct EnsembleBatches {
     /// Indices of the tests without replicates that fit no batch, whatever α.
     unbatched: Vec<usize>,
     /// The tests that are neither in `batches` nor in `unbatched`.
-    others: Replicates,
+    unbatched_replicates: Replicates,
 }
 
-/// All batches at one α, after their filters.
+/// All batches at one α, after the filters have run.
 #[derive(Debug)]
 pub(crate) struct FilteredBatches {
-    of: Arc<EnsembleBatches>,
+    ensemble_batches: Arc<EnsembleBatches>,
     /// Values of each batch at the α.
     values: Vec<BatchValues>,
 }
@@ -84,7 +84,7 @@ impl EnsembleBatches {
     ) -> EnsembleBatches {
         let preparer = reducer.preparer();
         if numbers.is_empty() || !preparer.has_columns() {
-            return EnsembleBatches { batches: Vec::new(), unbatched: Vec::new(), others: replicates };
+            return EnsembleBatches { batches: Vec::new(), unbatched: Vec::new(), unbatched_replicates: replicates };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -116,9 +116,13 @@ impl EnsembleBatches {
         });
         let batches: Vec<CachedBatch> =
             groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
-        let mut kept = vec![false; tests.len()];
-        batches.iter().flat_map(|batch| &batch.layout.tests).chain(&unbatched).for_each(|&number| kept[number] = true);
-        EnsembleBatches { batches, unbatched, others: replicates.without(&kept) }
+        let mut is_assigned = vec![false; tests.len()];
+        batches
+            .iter()
+            .flat_map(|batch| &batch.layout.tests)
+            .chain(&unbatched)
+            .for_each(|&number| is_assigned[number] = true);
+        EnsembleBatches { batches, unbatched, unbatched_replicates: replicates.without(&is_assigned) }
     }
 
     /// Reductions and errors of all tests at the α of `reducer`, and the batches after the filters.
@@ -138,7 +142,7 @@ impl EnsembleBatches {
         let alone = |work: &mut Workspace, &number: &usize| reducer.reduce_to_end(tests[number], work);
         let ends: Vec<ReducedWithEnd> = self.unbatched.par_iter().map_init(|| reducer.workspace(), alone).collect();
         self.unbatched.iter().zip(ends).for_each(|(&number, end)| found.note(number, end));
-        found.take(vec![reducer.reduce_each(tests, &self.others)], tests.len());
+        found.take(vec![reducer.reduce_each(tests, &self.unbatched_replicates)], tests.len());
         (found, filtered)
     }
 
@@ -147,7 +151,7 @@ impl EnsembleBatches {
         let mut alpha = Digest::new();
         digest_alpha(&mut alpha, reducer.preparer().at().alpha);
         let alpha = alpha.finish();
-        let share = |scratch: &mut DataWorkspace, batches: &[CachedBatch]| {
+        let filter_chunk = |scratch: &mut DataWorkspace, batches: &[CachedBatch]| {
             let mut found = ReducedTests::default();
             let values = batches
                 .iter()
@@ -155,14 +159,14 @@ impl EnsembleBatches {
                 .collect();
             (values, found)
         };
-        let many =
+        let chunk_len =
             (self.batches.len() / (CHUNKS_PER_THREAD * rayon::current_num_threads())).clamp(1, MAX_CHUNK_BATCHES);
-        let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
-            self.batches.par_chunks(many).map_init(DataWorkspace::default, share).collect();
-        let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();
-        let (values, mut all) = (values.into_iter().flatten().collect(), ReducedTests::default());
-        all.take(parts, tests.len());
-        (FilteredBatches { of: self.clone(), values }, all)
+        let filtered_chunks: Vec<(Vec<BatchValues>, ReducedTests)> =
+            self.batches.par_chunks(chunk_len).map_init(DataWorkspace::default, filter_chunk).collect();
+        let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = filtered_chunks.into_iter().unzip();
+        let (values, mut all_reduced) = (values.into_iter().flatten().collect(), ReducedTests::default());
+        all_reduced.take(parts, tests.len());
+        (FilteredBatches { ensemble_batches: self.clone(), values }, all_reduced)
     }
 
     /// Indices of the tests that are in batches.
@@ -240,7 +244,7 @@ impl CachedBatch {
     }
 }
 
-/// One batch at an α, after its filters.
+/// One batch at an α, after the filters have run.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FilteredBatch<'a> {
     pub(crate) layout: &'a BatchLayout,
@@ -257,14 +261,14 @@ impl FilteredBatch<'_> {
 impl FilteredBatches {
     /// The batches, as a parallel iterator.
     pub(crate) fn batches(&self) -> impl IndexedParallelIterator<Item = FilteredBatch<'_>> {
-        let both = self.of.batches.par_iter().zip(&self.values);
-        both.map(|(batch, values)| FilteredBatch { layout: &batch.layout, values })
+        let batches_with_values = self.ensemble_batches.batches.par_iter().zip(&self.values);
+        batches_with_values.map(|(batch, values)| FilteredBatch { layout: &batch.layout, values })
     }
 }
 
 impl Drop for FilteredBatches {
     fn drop(&mut self) {
-        for (batch, values) in self.of.batches.iter().zip(self.values.drain(..)) {
+        for (batch, values) in self.ensemble_batches.batches.iter().zip(self.values.drain(..)) {
             batch.idle.lock().unwrap_or_else(PoisonError::into_inner).push(values);
         }
     }

@@ -20,7 +20,7 @@ pub(crate) struct Inheritance {
     pub(crate) terms: Vec<InheritanceTerm>,
     /// Columns of the data that must be constant within the phase.
     uses: Uses,
-    /// T and t, if they are the same for all tests.
+    /// T and t, if equal for all tests; else `None`.
     fixed: Option<Inherited>,
 }
 
@@ -35,8 +35,8 @@ pub(crate) struct InheritanceTerm {
 }
 
 impl Inheritance {
-    /// The inheritance of `phase`, which follows a phase with `before` states. `at`: the model of `phase` at α.
-    pub(crate) fn new(phase: &Phase, before: usize, at: &ModelAt<'_>) -> Result<Inheritance, Box<Fault>> {
+    /// The inheritance of `phase`, given the number of states of the phase before. `at`: the model of `phase` at α.
+    pub(crate) fn new(phase: &Phase, previous_states: usize, at: &ModelAt<'_>) -> Result<Inheritance, Box<Fault>> {
         let entering = phase.entering();
         let (mut terms, mut uses) = (Vec::new(), Uses::default());
         for carry in &phase.carry {
@@ -50,7 +50,7 @@ impl Inheritance {
                 }
             }
         }
-        let mut inheritance = Inheritance { shape: (entering.len(), before), terms, uses, fixed: None };
+        let mut inheritance = Inheritance { shape: (entering.len(), previous_states), terms, uses, fixed: None };
         if inheritance.terms.iter().all(|term| term.coefficient.constant().is_some()) {
             let scope = Scope { numbers: &[], texts: &[], step: f64::NAN, alpha: at.alpha };
             inheritance.fixed = Some(inheritance.at(at, &scope)?);
@@ -80,9 +80,9 @@ impl Inheritance {
         if let Some(fixed) = &self.fixed {
             return Ok(Cow::Borrowed(fixed));
         }
-        let named = |fault: Box<Fault>| fault.name(at.model, Some(test));
-        let scope = self.scope(at, test, cells).map_err(named)?;
-        self.at(at, &scope).map(Cow::Owned).map_err(|fault| named(fault.on(0)))
+        let with_names = |fault: Box<Fault>| fault.name(at.model, Some(test));
+        let scope = self.scope(at, test, cells).map_err(with_names)?;
+        self.at(at, &scope).map(Cow::Owned).map_err(|fault| with_names(fault.on(0)))
     }
 
     fn at(&self, at: &ModelAt<'_>, scope: &Scope<'_>) -> Result<Inherited, Box<Fault>> {

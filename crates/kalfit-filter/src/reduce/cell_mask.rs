@@ -31,17 +31,17 @@ fn counted_bits(x: f64, read: u64, measured: u64) -> u64 {
 impl CellMask {
     /// `columns`: number of numeric columns; `uses`: columns that coefficients and times are read from.
     pub(crate) fn new(columns: usize, uses: &Uses, measured: impl Iterator<Item = usize>) -> CellMask {
-        let mask = |of: &[usize]| {
-            let row: Vec<u64> = (0..columns).map(|c| if of.contains(&c) { u64::MAX } else { 0 }).collect();
+        let mask = |included: &[usize]| {
+            let row: Vec<u64> = (0..columns).map(|c| if included.contains(&c) { u64::MAX } else { 0 }).collect();
             row.repeat(ROWS_AT_ONCE)
         };
         let (read, measured) = (mask(&uses.numbers), mask(&measured.collect::<Vec<_>>()));
         CellMask { isa: Isa::best(), read, measured, texts: uses.texts.clone() }
     }
 
-    /// Hash of the cells that count, in all rows if `all`, else in the first `ROWS_AT_ONCE` rows.
-    pub(crate) fn hash(&self, test: &Test, all: bool) -> u64 {
-        let rows = if all { test.rows() } else { test.rows().min(ROWS_AT_ONCE) };
+    /// Hash of the cells that count, either in all rows or in the first `ROWS_AT_ONCE` rows.
+    pub(crate) fn hash(&self, test: &Test, all_rows: bool) -> u64 {
+        let rows = if all_rows { test.rows() } else { test.rows().min(ROWS_AT_ONCE) };
         let cells = &test.all_numbers()[..rows * test.widths().0];
         self.texts(test, rows).fold(mix_word(self.hash_cells(cells), test.rows() as u64), |hash, text| {
             mix_word(hash, text.index() as u64)
@@ -51,7 +51,7 @@ impl CellMask {
     /// True if two tests agree in all cells that count.
     pub(crate) fn agrees_on(&self, test: &Test, other: &Test) -> bool {
         (test.rows(), test.widths()) == (other.rows(), other.widths())
-            && self.isa.run(SameCells { cells: test.all_numbers(), others: other.all_numbers(), mask: self })
+            && self.isa.run(SameCells { cells: test.all_numbers(), other_cells: other.all_numbers(), mask: self })
             && self.texts(test, test.rows()).eq(self.texts(other, other.rows()))
     }
 
@@ -65,7 +65,7 @@ impl CellMask {
     fn hash_cells(&self, cells: &[f64]) -> u64 {
         let mut hashes = [1u64, 2, 3, 4];
         for cells in cells.chunks(self.read.len().max(1)) {
-            // the masks cover eight rows, so their length is a multiple of four
+            // the masks cover eight rows, so that the length of a mask is a multiple of four
             for (cells, (read, measured)) in cells.chunks(4).zip(self.read.chunks(4).zip(self.measured.chunks(4))) {
                 for (k, x) in cells.iter().enumerate() {
                     hashes[k] = mix_word(hashes[k], counted_bits(*x, read[k], measured[k]));
@@ -79,7 +79,7 @@ impl CellMask {
 /// Compares the cells of two tests under a mask.
 struct SameCells<'a> {
     cells: &'a [f64],
-    others: &'a [f64],
+    other_cells: &'a [f64],
     mask: &'a CellMask,
 }
 
@@ -89,13 +89,15 @@ impl Kernel for SameCells<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) -> bool {
         let width = self.mask.read.len().max(1);
-        for (cells, others) in self.cells.chunks(width).zip(self.others.chunks(width)) {
+        for (cells, other_cells) in self.cells.chunks(width).zip(self.other_cells.chunks(width)) {
             // slices of equal length let the compiler use wide registers
-            let many = cells.len();
-            let (others, read, measured) = (&others[..many], &self.mask.read[..many], &self.mask.measured[..many]);
+            let cell_count = cells.len();
+            let (other_cells, read, measured) =
+                (&other_cells[..cell_count], &self.mask.read[..cell_count], &self.mask.measured[..cell_count]);
             let mut differ = 0;
-            for k in 0..many {
-                differ |= counted_bits(cells[k], read[k], measured[k]) ^ counted_bits(others[k], read[k], measured[k]);
+            for k in 0..cell_count {
+                differ |=
+                    counted_bits(cells[k], read[k], measured[k]) ^ counted_bits(other_cells[k], read[k], measured[k]);
             }
             if differ != 0 {
                 return false;

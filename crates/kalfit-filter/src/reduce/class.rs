@@ -8,7 +8,7 @@ use crate::reduce::root::RootError;
 use crate::reduce::shared_store::StoreEntry;
 use crate::reduce::terminal::TerminalRoot;
 
-/// A design class: a design and its gains, in the store of classes.
+/// A design class: a design and the gains of the design, in the store of classes.
 #[derive(Debug, Clone)]
 pub(crate) struct DesignClass(pub(super) Arc<StoreEntry<Design, Result<Gains, RootError>>>);
 

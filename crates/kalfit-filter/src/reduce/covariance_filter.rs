@@ -18,7 +18,7 @@ pub(super) struct CovarianceFilter<T> {
     pub(super) K: Vec<T>,
     pub(super) T: Vec<T>,
     /// Work space of the kernels.
-    rows: Vec<T>,
+    work: Vec<T>,
     pub(super) sums: InformationSums<T>,
 }
 
@@ -40,7 +40,7 @@ impl<T: Lanes> CovarianceFilter<T> {
             G: vec![zero; frame.r],
             K: vec![zero; frame.r],
             T: vec![zero; frame.p],
-            rows: Vec::new(),
+            work: Vec::new(),
             sums: InformationSums::new(frame.p),
         }
     }
@@ -56,21 +56,21 @@ impl<T: Lanes> CovarianceFilter<T> {
     /// Predicts P and Ψ over a transition.
     #[inline(always)]
     pub(super) fn predict<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
-        kernel::predict(&mut self.P, frame.r, transition, &mut self.rows);
+        kernel::predict(&mut self.P, frame.r, transition, &mut self.work);
         self.advance(frame, transition);
     }
 
     /// Predicts Ψ, without P, over a transition.
     #[inline(always)]
     pub(super) fn advance<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
-        kernel::advance(&mut self.Psi, frame.p, transition, &mut self.rows);
+        kernel::advance(&mut self.Psi, frame.p, transition, &mut self.work);
     }
 
     /// Takes a scalar measurement (states, h, R) into P, Ψ and the sums; stores K and T.
     #[inline(always)]
     pub(super) fn measure<E: Entries<T>>(&mut self, frame: &StateFrame, line: (&[u32], E, T)) -> ScalarUpdate<T> {
-        let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
-        let update = kernel::measure(frame, line, of, (&mut self.G, &mut self.K, &mut self.T));
+        let filter_state = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
+        let update = kernel::measure(frame, line, filter_state, (&mut self.G, &mut self.K, &mut self.T));
         self.sums.count(update.S, update.margin);
         update
     }

@@ -52,7 +52,7 @@ impl StateFrame {
         self
     }
 
-    /// The frame of the same states without ξ: p = 0.
+    /// The frame of these states without ξ: p = 0.
     pub(crate) fn without_unknowns(&self) -> StateFrame {
         let frame = StateFrame { p: 0, rows: vec![ZERO; self.n], sensitivity: Vec::new(), ..self.clone() };
         frame.seal()
@@ -118,7 +118,7 @@ impl Pattern {
     }
 }
 
-/// φ and Q of one step.
+/// φ and Q of one step: the entries at the positions of a pattern.
 #[derive(Debug, Clone)]
 pub struct Transition {
     pub(crate) pattern: Arc<Pattern>,
@@ -148,11 +148,11 @@ impl Transition {
 
     /// (row, column, entry) of the rows of φ that are not rows of the identity.
     pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
-        let of = move |row: &TransitionRow| {
+        let row_entries = move |row: &TransitionRow| {
             let (state, terms) = (row.state as usize, row.start as usize..row.end as usize);
             terms.map(move |k| (state, self.pattern.columns[k] as usize, self.phi[k]))
         };
-        self.pattern.moved.iter().flat_map(of)
+        self.pattern.moved.iter().flat_map(row_entries)
     }
 
     /// φ, n × n; `state` maps a position in kernel order to a state.
@@ -218,7 +218,7 @@ impl EqualSteps {
     }
 }
 
-/// The design of a test; its scalar measurements are whitened.
+/// The design of a test; the scalar measurements are whitened.
 ///
 /// A *row* is a scalar measurement of the test. Rows of equal steps share one *line*, which stores terms and noise once
 /// for all of them.
@@ -292,8 +292,8 @@ impl Design {
     /// `moving` of a stretch of more than `few` equal steps with one scalar measurement and no known inputs; else
     /// `None`.
     pub(crate) fn moving_in_equal_steps(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
-        let plain = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
-        plain.then(|| self.moving(stretch))
+        let is_scannable = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
+        is_scannable.then(|| self.moving(stretch))
     }
 
     pub(crate) fn new(frame: Arc<StateFrame>) -> Design {
@@ -324,8 +324,8 @@ impl Design {
 
     /// Sets `stepwise`, once all steps are appended.
     pub(crate) fn complete(&mut self) {
-        let long = self.runs.iter().map(|run| run.count).filter(|&count| count > MAX_UNSCANNED_STEPS).sum();
-        self.stepwise = !is_majority(long, self.steps());
+        let long_steps = self.runs.iter().map(|run| run.count).filter(|&count| count > MAX_UNSCANNED_STEPS).sum();
+        self.stepwise = !is_majority(long_steps, self.steps());
     }
 
     /// True if a stretch of `count` equal steps is processed at once, not step by step.
@@ -374,9 +374,10 @@ impl Design {
     pub fn step(&self, k: usize) -> DesignStep<'_> {
         // without equal steps, step k is run k
         let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
-        let at = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
-        let run = &self.runs[at];
-        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+        let run_index = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
+        let run = &self.runs[run_index];
+        let (line, row) =
+            if run_index == 0 { (0, 0) } else { (self.runs[run_index - 1].lines, self.runs[run_index - 1].rows) };
         let first = row + (k + run.count - run.steps) * (run.lines - line);
         let rows = first..first + run.lines - line;
         DesignStep { transition: self.transition(run), lines: line..run.lines, rows }
@@ -384,13 +385,14 @@ impl Design {
 
     /// The runs as stretches, in order.
     pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_>> {
-        (0..self.runs.len()).map(|at| self.stretch(at))
+        (0..self.runs.len()).map(|run_index| self.stretch(run_index))
     }
 
-    /// Run `at`, counted from 0, as a stretch.
-    pub(crate) fn stretch(&self, at: usize) -> Stretch<'_> {
-        let run = &self.runs[at];
-        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+    /// The run with this index, counted from 0, as a stretch.
+    pub(crate) fn stretch(&self, run_index: usize) -> Stretch<'_> {
+        let run = &self.runs[run_index];
+        let (line, row) =
+            if run_index == 0 { (0, 0) } else { (self.runs[run_index - 1].lines, self.runs[run_index - 1].rows) };
         Stretch { transition: self.transition(run), lines: line..run.lines, count: run.count, rows: row..run.rows }
     }
 
@@ -423,12 +425,12 @@ impl Design {
 
     /// Appends `many` more steps equal to the last step.
     pub(crate) fn repeat(&mut self, many: usize) {
-        let at = self.runs.len() - 1;
-        let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
-        let run = &mut self.runs[at];
+        let run_index = self.runs.len() - 1;
+        let lines_before = if run_index == 0 { 0 } else { self.runs[run_index - 1].lines };
+        let run = &mut self.runs[run_index];
         run.count += many;
         run.steps += many;
-        run.rows += many * (run.lines - before);
+        run.rows += many * (run.lines - lines_before);
     }
 
     /// [`Design::push_step`], except that a step equal to the last step, with one transition object for both, joins the
@@ -451,9 +453,9 @@ impl Design {
     /// True if `transition` and the lines that belong to no run yet equal the transition and the lines of the last run.
     #[inline]
     fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
-        let Some(at) = self.runs.len().checked_sub(1) else { return false };
-        let (lines, fresh) = (self.stretch(at).lines, self.runs[at].lines..self.ends.len());
-        let same_transition = match (self.runs[at].transition, transition) {
+        let Some(run_index) = self.runs.len().checked_sub(1) else { return false };
+        let (lines, appended_lines) = (self.stretch(run_index).lines, self.runs[run_index].lines..self.ends.len());
+        let same_transition = match (self.runs[run_index].transition, transition) {
             (Some(_), Some(transition)) => self.is_last_transition(transition),
             (None, None) => true,
             _ => false,
@@ -462,18 +464,18 @@ impl Design {
             let start = |line: usize| if line == 0 { 0 } else { self.ends[line - 1] };
             start(lines.start)..start(lines.end)
         };
-        let (old, new) = (terms(&lines), terms(&fresh));
+        let (old, new) = (terms(&lines), terms(&appended_lines));
         let same_shape = || {
             let length = |line: usize| self.terms(line).0.len();
-            lines.clone().zip(fresh.clone()).all(|(a, b)| length(a) == length(b))
+            lines.clone().zip(appended_lines.clone()).all(|(a, b)| length(a) == length(b))
         };
-        lines.len() == fresh.len()
+        lines.len() == appended_lines.len()
             && same_transition
             && old.len() == new.len()
             && same_bits(&self.h[old.clone()], &self.h[new.clone()])
             && same_shape()
             && self.states[old] == self.states[new]
-            && same_bits(&self.noise[lines], &self.noise[fresh])
+            && same_bits(&self.noise[lines], &self.noise[appended_lines])
     }
 
     /// Memory in bytes, without the transitions.

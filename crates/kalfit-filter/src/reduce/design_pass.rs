@@ -29,7 +29,7 @@ pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work:
     Some(gains)
 }
 
-/// The pass over one design.
+/// The design pass over one design, as a kernel.
 struct DesignPass<'a> {
     design: &'a Design,
     work: &'a mut GainsWork,
@@ -67,9 +67,9 @@ impl GainsWork {
     /// Copies the current P and Ψ of the filter.
     #[inline(always)]
     fn take<T: Lanes>(&mut self, filter: &CovarianceFilter<T>) {
-        for (list, own) in [(&mut self.P, &filter.P), (&mut self.Psi, &filter.Psi)] {
+        for (list, in_lanes) in [(&mut self.P, &filter.P), (&mut self.Psi, &filter.Psi)] {
             list.clear();
-            for x in own {
+            for x in in_lanes {
                 list.push(x.lane(0));
             }
         }

@@ -157,7 +157,7 @@ impl Dynamics {
         }
         dynamics.noise.extend(covariances);
         let nodes: Vec<usize> = (0..n).filter(|&i| continuous(i)).collect();
-        for states in connected(&nodes, &links) {
+        for states in connected_components(&nodes, &links) {
             let component = dynamics.component(at, states, &rates)?;
             dynamics.components.push(component);
         }
@@ -243,11 +243,11 @@ impl Dynamics {
         rates: &[(usize, usize, usize)],
     ) -> Result<Component, Box<Fault>> {
         let m = states.len();
-        let local = |state: usize| states.binary_search(&state).ok();
+        let index_in_component = |state: usize| states.binary_search(&state).ok();
         let mut component = Component { closure: vec![false; m * m], ..Component::default() };
         for &(i, j, slot) in rates {
-            let Some(row) = local(i) else { continue };
-            match local(j) {
+            let Some(row) = index_in_component(i) else { continue };
+            match index_in_component(j) {
                 Some(column) => {
                     component.rates.push((row, column, slot));
                     component.closure[row * m + column] = true;
@@ -256,7 +256,7 @@ impl Dynamics {
             }
         }
         for &(i, j, slot) in &self.noise {
-            if let (Some(i), Some(j)) = (local(i), local(j)) {
+            if let (Some(i), Some(j)) = (index_in_component(i), index_in_component(j)) {
                 component.noise.push((i.max(j), i.min(j), slot));
             }
         }
@@ -286,7 +286,7 @@ impl Component {
     }
 }
 
-/// Replaces an m × m relation by its transitive closure.
+/// Replaces a relation `reach`, m × m by rows, by the transitive closure: `reach` i → k and k → j gives i → j.
 pub(crate) fn close_transitively(reach: &mut [bool], m: usize) {
     for k in 0..m {
         for i in 0..m {
@@ -300,7 +300,7 @@ pub(crate) fn close_transitively(reach: &mut [bool], m: usize) {
 }
 
 /// The connected components of `nodes` (ascending) under `links`; links to other nodes do not count.
-pub(crate) fn connected(nodes: &[usize], links: &[(usize, usize)]) -> Vec<Vec<usize>> {
+pub(crate) fn connected_components(nodes: &[usize], links: &[(usize, usize)]) -> Vec<Vec<usize>> {
     let mut set: Vec<usize> = (0..nodes.len()).collect();
     for (i, j) in links {
         if let (Ok(i), Ok(j)) = (nodes.binary_search(i), nodes.binary_search(j)) {
@@ -308,6 +308,8 @@ pub(crate) fn connected(nodes: &[usize], links: &[(usize, usize)]) -> Vec<Vec<us
             set.iter_mut().filter(|s| **s == drop).for_each(|s| *s = keep);
         }
     }
-    let members = |s: usize| nodes.iter().zip(&set).filter(|&(_, of)| *of == s).map(|(&node, _)| node).collect();
+    let members = |s: usize| {
+        nodes.iter().zip(&set).filter(|&(_, set_of_node)| *set_of_node == s).map(|(&node, _)| node).collect()
+    };
     (0..nodes.len()).map(members).filter(|members: &Vec<usize>| !members.is_empty()).collect()
 }

@@ -9,31 +9,31 @@ pub(crate) struct EqualStepCount {
     steps: usize,
     /// Length of the current stretch of equal steps.
     stretch: usize,
-    long: usize,
+    long_steps: usize,
 }
 
 impl EqualStepCount {
     /// Count for a test with `steps` steps, of which none is taken yet.
     pub(crate) fn new(steps: usize) -> EqualStepCount {
-        EqualStepCount { steps, stretch: 0, long: 0 }
+        EqualStepCount { steps, stretch: 0, long_steps: 0 }
     }
 
     /// Takes the next step; `equal`: the step equals the step before. True as soon as most steps of the test are in
     /// long stretches.
     pub(crate) fn take(&mut self, equal: bool) -> bool {
         self.stretch = if equal { self.stretch + 1 } else { 1 };
-        self.long += match self.stretch {
+        self.long_steps += match self.stretch {
             stretch if stretch <= MAX_UNSCANNED_STEPS => 0,
             stretch if stretch == MAX_UNSCANNED_STEPS + 1 => stretch,
             _ => 1,
         };
-        is_majority(self.long, self.steps)
+        is_majority(self.long_steps, self.steps)
     }
 }
 
-/// True if `long` steps are more than half of `steps`.
-pub(crate) fn is_majority(long: usize, steps: usize) -> bool {
-    2 * long > steps
+/// True if the steps in long stretches are more than half of all steps.
+pub(crate) fn is_majority(long_steps: usize, steps: usize) -> bool {
+    2 * long_steps > steps
 }
 
 #[cfg(test)]

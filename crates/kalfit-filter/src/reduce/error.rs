@@ -133,7 +133,7 @@ pub enum ReduceErrorKind {
         /// Time of the row.
         time: f64,
     },
-    /// Times are so large that their rounding hides the lengths of the steps.
+    /// Times are so large that the rounding of times hides the lengths of the steps.
     #[error(
         "times as large as {time} are known to {grid:.3e}, which is no small part of a step ({step:.3e} on average)"
     )]
@@ -258,9 +258,9 @@ pub enum ReduceErrorKind {
     /// A matrix or vector has the wrong shape.
     #[error("found {} x {}, expected {} x {}", found.0, found.1, expected.0, expected.1)]
     Shape {
-        /// Rows and columns found.
+        /// (rows, columns) of the matrix or vector.
         found: (usize, usize),
-        /// Rows and columns expected.
+        /// (rows, columns) expected.
         expected: (usize, usize),
     },
 }
@@ -277,7 +277,7 @@ pub(crate) fn refuse(test: Option<&str>, what: &str, kind: impl Into<ReduceError
 }
 
 /// An error unless the shape of a matrix or vector is as expected.
-pub(crate) fn of_shape(found: (usize, usize), expected: (usize, usize)) -> Result<(), ReduceErrorKind> {
+pub(crate) fn check_shape(found: (usize, usize), expected: (usize, usize)) -> Result<(), ReduceErrorKind> {
     if found == expected { Ok(()) } else { Err(ReduceErrorKind::Shape { found, expected }) }
 }
 

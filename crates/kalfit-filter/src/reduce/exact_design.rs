@@ -7,7 +7,7 @@
 use crate::reduce::data::{EXACT_TOLERANCE, Miss};
 use kalfit_model::ExactRows;
 
-/// Sensitivities up to this fraction of the size of their terms count as zero.
+/// Sensitivities up to this fraction of the sum of absolute terms count as zero.
 pub(crate) const INSENSITIVE: f64 = 1e-11;
 
 /// The exact measurements of a design.
@@ -74,9 +74,9 @@ impl ExactDesign {
         }
         let is_sensitive = |k: usize| remainder[k].abs() > INSENSITIVE * terms[k];
         // the pivot is the entry that lost the fewest digits
-        let better =
+        let fewer_lost_digits =
             |a: &usize, b: &usize| (remainder[*a].abs() / terms[*a]).total_cmp(&(remainder[*b].abs() / terms[*b]));
-        let pivot = (0..p).rev().filter(|&k| is_sensitive(k)).max_by(better);
+        let pivot = (0..p).rev().filter(|&k| is_sensitive(k)).max_by(fewer_lost_digits);
         self.measurements.push(ExactMeasurement { row, multipliers, is_independent: pivot.is_some() });
         if let Some(pivot) = pivot {
             self.coefficients.extend_from_slice(sensitivity);
@@ -93,9 +93,9 @@ impl ExactDesign {
         for (measurement, &size) in self.measurements.iter().zip(sizes) {
             let value = e[measurement.row];
             let (mut remainder, mut size) = (value, size);
-            for (multiplier, (before, size_before)) in measurement.multipliers.iter().zip(&reduced) {
-                remainder -= multiplier * before;
-                size += (multiplier * size_before).abs();
+            for (multiplier, (earlier_value, earlier_size)) in measurement.multipliers.iter().zip(&reduced) {
+                remainder -= multiplier * earlier_value;
+                size += (multiplier * earlier_size).abs();
             }
             if measurement.is_independent {
                 values.push(value);

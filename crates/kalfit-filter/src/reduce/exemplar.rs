@@ -56,12 +56,12 @@ impl Reducer {
         if set.len() <= size {
             return some(work, set, found);
         }
-        let part = |work: &mut Workspace, numbers: &[usize]| {
+        let reduce_chunk = |work: &mut Workspace, numbers: &[usize]| {
             let mut found = ReducedTests::default();
             some(work, numbers, &mut found);
             found
         };
-        let parts = set.par_chunks(size).map_init(|| self.workspace(), part).collect();
+        let parts = set.par_chunks(size).map_init(|| self.workspace(), reduce_chunk).collect();
         found.take(parts, found.numbers.len() + set.len());
     }
 }

@@ -37,8 +37,8 @@ fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
         for _ in 0..steps {
             predict(&mut P, r, transition, &mut work);
             advance(&mut Psi, p, transition, &mut work);
-            let of = FilterState { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
-            let update = measure(&frame, (&states, &*h, Counted(1.0)), of, (&mut G, &mut K, &mut T));
+            let filter_state = FilterState { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
+            let update = measure(&frame, (&states, &*h, Counted(1.0)), filter_state, (&mut G, &mut K, &mut T));
             sums.count(update.S, update.margin);
         }
     })

@@ -53,7 +53,7 @@ pub struct GainSpan {
 }
 
 impl GainSpan {
-    /// The first `rows` rows, each a step, all of them stored.
+    /// The span of the first `rows` rows; each row is a step, and all rows are stored.
     pub(crate) fn all(rows: usize) -> GainSpan {
         GainSpan { row: 0, width: 1, gain: 0, gain_steps: rows, sensitivity: 0, sensitivity_steps: rows }
     }
@@ -162,8 +162,8 @@ impl Gains {
             2 * rotations.row_rotations.len() + 5 * rotations.settle.len() + rotations.exact.len()
         });
         let end = self.end.as_ref().map_or(0, |end| end.bytes());
-        let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
+        let stored_numbers = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         let paths: usize = self.paths.iter().map(MomentPath::bytes).sum();
-        8 * (kept + self.factor.len() + rotations) + end + paths + 200
+        8 * (stored_numbers + self.factor.len() + rotations) + end + paths + 200
     }
 }

@@ -90,7 +90,7 @@ impl Instances {
         Instance { meter, row: row + number / width * block.height }
     }
 
-    /// True if these scalar measurements, at least one, are all of one measurement of the model.
+    /// True if the scalar measurements `rows`, at least one, are all of one measurement of the model.
     pub(crate) fn uniform(&self, rows: std::ops::Range<usize>) -> bool {
         let meter = self.get(rows.start).meter;
         let first = self.blocks.partition_point(|block| block.first <= rows.start) - 1;
@@ -98,13 +98,13 @@ impl Instances {
         blocks.enumerate().all(|(k, block)| {
             let end = self.blocks.get(first + k + 1).map_or(self.entries.len(), |next| next.entry);
             // a block that does not repeat has one entry per scalar measurement, and perhaps entries outside the range
-            let (from, to) = if block.count > 1 {
+            let (first_entry, end_entry) = if block.count > 1 {
                 (block.entry, end)
             } else {
                 let at = |row: usize| block.entry + row.saturating_sub(block.first);
                 (at(rows.start), at(rows.end).min(end))
             };
-            self.entries[from..to].iter().all(|entry| entry.meter == meter)
+            self.entries[first_entry..end_entry].iter().all(|entry| entry.meter == meter)
         })
     }
 

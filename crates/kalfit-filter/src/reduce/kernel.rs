@@ -28,8 +28,8 @@ pub(crate) fn advance<R: Real, E: Entries<R>>(
     for (m, row) in pattern.moved.iter().enumerate() {
         let out = &mut work[m * width..][..width];
         for k in row.start as usize..row.end as usize {
-            let (phi, from) = (phi.entry(k), &x[pattern.columns[k] as usize * width..][..width]);
-            for (sum, &value) in out.iter_mut().zip(from) {
+            let (phi, source_row) = (phi.entry(k), &x[pattern.columns[k] as usize * width..][..width]);
+            for (sum, &value) in out.iter_mut().zip(source_row) {
                 *sum = phi.fma(value, *sum);
             }
         }
@@ -58,7 +58,7 @@ pub(crate) fn correct_mean<R: Real, E: Entries<R>>(K: E, e: R, x: &mut [R]) {
     }
 }
 
-/// Index of entry {i, j} of a symmetric r × r matrix stored in its lower triangle.
+/// Index of entry {i, j} of a symmetric r × r matrix, of which the lower triangle is stored by rows.
 #[inline(always)]
 fn at(i: usize, j: usize, r: usize) -> usize {
     if i >= j { i * r + j } else { j * r + i }
@@ -224,13 +224,13 @@ pub(crate) struct FilterState<'a, R> {
 pub(crate) fn measure<R: Real, E: Entries<R>>(
     frame: &StateFrame,
     (states, h, noise): (&[u32], E, R),
-    of: FilterState<'_, R>,
+    filter_state: FilterState<'_, R>,
     (G, K, T): (&mut [R], &mut [R], &mut [R]),
 ) -> ScalarUpdate<R> {
-    sensitivity(frame, (states, h), of.Psi, T);
-    let update = update(frame.r, (states, h), noise, of.P, (G, &mut *K));
-    correct(frame.p, K, T, of.Psi);
-    add_information(T, update.weight, of.J);
+    sensitivity(frame, (states, h), filter_state.Psi, T);
+    let update = update(frame.r, (states, h), noise, filter_state.P, (G, &mut *K));
+    correct(frame.p, K, T, filter_state.Psi);
+    add_information(T, update.weight, filter_state.J);
     update
 }
 
@@ -255,11 +255,11 @@ fn joseph<R: Real, E: Entries<R>>(
     }
     for i in 0..r {
         let row = &mut P[i * r..][..=i];
-        let before = row[i];
+        let variance_before = row[i];
         for (entry, &G) in row.iter_mut().zip(G.iter()) {
             *entry = K[i].fnma(G, *entry);
         }
-        margin = margin.minimum(before.fnma(R::splat(MIN_REMAINING), row[i]));
+        margin = margin.minimum(variance_before.fnma(R::splat(MIN_REMAINING), row[i]));
     }
     // V = RK - (P - KG')h, which equals -Eh
     let V = G;

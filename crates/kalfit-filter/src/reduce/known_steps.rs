@@ -29,8 +29,8 @@ impl KnownSteps {
         if test.rows() < MIN_LONG_ROWS {
             return None;
         }
-        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = all.get(&test.id)?;
+        let known_records = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = known_records.get(&test.id)?;
         (known.rows == test.rows() && known.initial == initial.map(f64::to_bits)).then(|| known.spans.clone())
     }
 

@@ -121,7 +121,7 @@ pub use data::Data;
 pub use design::{Design, DesignStep, Pattern, StateFrame, Stretch, Transition, TransitionView, same_bits};
 pub use dynamics::{Component, Table};
 pub(crate) use entries::{Common, Entries, SideBySide};
-pub(crate) use error::{of_shape, refuse};
+pub(crate) use error::{check_shape, refuse};
 pub use gains::{GainSpan, Gains};
 pub(crate) use instances::Instance;
 pub(crate) use kernel::{advance, correct_mean, innovation, mirror, predict, update};

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use nalgebra::DMatrix;
 
 use crate::reduce::carry::Inheritance;
-use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, check_shape, finite, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{ReducedWithEnd, Reducer};
 use crate::reduce::steps::GatheredCells;
@@ -200,7 +200,7 @@ impl PhaseReducer {
         let PhaseReduction { reduction, terminal, inherited, .. } = piece;
         let refuse = |what: &str, kind: ReduceErrorKind| refuse(Some(id), what, kind);
         let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {
-            of_shape(found, expected).and_then(|()| finite(numbers)).map_err(|kind| refuse(what, kind))
+            check_shape(found, expected).and_then(|()| finite(numbers)).map_err(|kind| refuse(what, kind))
         };
         let check_numbers =
             |what: &str, numbers: &[f64], expected: usize| check(what, numbers, (numbers.len(), 1), (expected, 1));

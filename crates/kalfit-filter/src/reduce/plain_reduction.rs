@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::information_gains;
-use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, check_shape, finite, refuse};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::observe::whiten;
@@ -189,7 +189,7 @@ impl Plain {
         matrix: &nalgebra::Matrix<f64, nalgebra::Dyn, C, nalgebra::VecStorage<f64, nalgebra::Dyn, C>>,
         expected: (usize, usize),
     ) -> Result<(), ReduceError> {
-        let found = of_shape(matrix.shape(), expected).and_then(|()| finite(matrix.as_slice()));
+        let found = check_shape(matrix.shape(), expected).and_then(|()| finite(matrix.as_slice()));
         found.map_err(|kind| self.refuse(what, kind))
     }
 

@@ -4,7 +4,7 @@ mod backward;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::reduce::dynamics::{Dynamics, connected, matrices};
+use crate::reduce::dynamics::{Dynamics, connected_components, matrices};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
@@ -222,7 +222,7 @@ fn groups(
         let inputs = inputs_of(dynamics, &states);
         StationaryGroup { continuous: continuous(states[0]), motion, noise, inputs, states }
     };
-    let groups: Vec<StationaryGroup> = connected(stationary_states, &links).into_iter().map(group).collect();
+    let groups: Vec<StationaryGroup> = connected_components(stationary_states, &links).into_iter().map(group).collect();
     for group in &groups {
         for &(i, slot) in &group.inputs {
             if dynamics.inputs.reads_data(slot) {

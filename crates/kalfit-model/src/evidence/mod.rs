@@ -127,7 +127,9 @@ impl Estimates {
             return Err([least, largest]);
         }
         let significant: Vec<usize> = (0..size).filter(|&k| values[k] > rounding * largest).collect();
-        Ok(DMatrix::from_fn(size, significant.len(), |i, k| scale[i] * vectors[(i, significant[k])] * values[significant[k]].sqrt()))
+        Ok(DMatrix::from_fn(size, significant.len(), |i, k| {
+            scale[i] * vectors[(i, significant[k])] * values[significant[k]].sqrt()
+        }))
     }
 }
 

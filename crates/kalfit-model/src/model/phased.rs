@@ -120,7 +120,8 @@ impl PhasedModel {
     /// each level of groups, the innermost first.
     pub fn element_names(&self) -> Vec<String> {
         let state_names = self.estimated_names();
-        let of = |level: &GroupLevel| state_names.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
+        let of =
+            |level: &GroupLevel| state_names.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
         state_names.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
     }
 

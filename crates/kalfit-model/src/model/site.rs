@@ -140,7 +140,9 @@ impl CovarianceKind {
     /// (position, element) of every element of the matrix in the structure; empty for structures without a matrix.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
-        if let CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries) | CovarianceKind::Fixed(entries) = self
+        if let CovarianceKind::Proportional(entries)
+        | CovarianceKind::Correlation(entries)
+        | CovarianceKind::Fixed(entries) = self
         {
             push_matrix(entries, |diagonal| Site::Structure { diagonal }, &mut all);
         }
@@ -148,7 +150,12 @@ impl CovarianceKind {
     }
 }
 
-fn push_linear<'m>(form: &'m Linear, site_of: impl Fn(usize) -> Site, constant: Site, all: &mut Vec<(Site, &'m Expression)>) {
+fn push_linear<'m>(
+    form: &'m Linear,
+    site_of: impl Fn(usize) -> Site,
+    constant: Site,
+    all: &mut Vec<(Site, &'m Expression)>,
+) {
     all.extend(form.terms.iter().map(|(state, coefficient)| (site_of(*state), coefficient)));
     all.push((constant, &form.constant));
 }

@@ -41,7 +41,11 @@ impl Coordinates {
     /// The frame of the states `states`.
     pub fn part(&self, states: &Range<usize>) -> Coordinates {
         let pick_states = |all: &[f64]| all[states.clone()].to_vec();
-        Coordinates { centre: pick_states(&self.centre), scale: pick_states(&self.scale), covariate_scale: self.covariate_scale.clone() }
+        Coordinates {
+            centre: pick_states(&self.centre),
+            scale: pick_states(&self.scale),
+            covariate_scale: self.covariate_scale.clone(),
+        }
     }
 
     /// μ in the user's units from μ in η.

@@ -4,10 +4,10 @@ use nalgebra::{DMatrix, DVector};
 
 /// Maximal number of differences that are kept.
 const DEPTH: usize = 16;
-/// Part of the largest singular value below which others are left out.
+/// Size, relative to the largest singular value, below which a singular value counts as zero.
 const RANK: f64 = 1e-9;
 
-/// Points x and their steps f so far.
+/// Pairs (x, f(x)) so far.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Anderson {
     points: Vec<(DVector<f64>, DVector<f64>)>,

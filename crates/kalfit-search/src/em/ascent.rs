@@ -1,9 +1,9 @@
-//! Maximum of a smooth function in the coordinates of α, within their bounds, by limited-memory BFGS. The curvature
-//! learnt is kept from one E-step to the next, as the complete data change little.
+//! Maximum of a smooth function in the coordinates of α, within their bounds, by limited-memory BFGS. The learnt
+//! curvature serves after the next E-step, too, because the complete data change little.
 
 use crate::profile_likelihood::ProfileLikelihood;
 
-/// Maximal number of pairs (step, change of the gradient) that are kept.
+/// Maximal number of pairs (step, fall of the gradient).
 const DEPTH: usize = 12;
 /// Maximal number of steps of one maximisation.
 const STEPS: usize = 60;
@@ -26,7 +26,7 @@ pub(super) struct Ascent {
 pub(super) type AscentFunction<'f> = dyn Fn(&[f64]) -> Option<(f64, Vec<f64>)> + 'f;
 
 impl Ascent {
-    /// The maximum near `values`, over those that are `free`; never below the value at the start.
+    /// Values near `values` at which `function` is maximal over the `free` values, and never lower than at the start.
     pub(super) fn maximise(
         &mut self,
         function: &AscentFunction<'_>,
@@ -108,7 +108,7 @@ impl Ascent {
     }
 }
 
-/// Values that are free and do not press against a bound.
+/// Whether each value is free and not at a bound beyond which the function rises.
 fn free_inside(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], free: &[bool]) -> Vec<bool> {
     let one = |s: usize| {
         let coordinate = &objective.coordinates[s];

@@ -2,9 +2,9 @@
 //!
 //! Complete data of a test: ξ, all states, all noises. The E-step is the smoother at (α, μ, Σ). The M-step sets every
 //! noise level in closed form, and raises the expected log-likelihood of the complete data over time constants and
-//! other coefficients. Two kinds of values are moved on ℓ itself, as ECME does, because it goes further: μ and Σ, whose
-//! maximum at the new α is found on the reductions; and values that the complete data determine or do not depend on (a
-//! coefficient that no noise accompanies, matrices of the covariance structure). ℓ never falls, and Anderson's
+//! other coefficients. Two kinds of values are moved on ℓ itself, as in ECME, because steps on ℓ are longer: μ and Σ,
+//! whose maximum at the new α is found on the reductions; and values that the complete data determine or do not depend
+//! on (a coefficient that no noise accompanies, matrices of the covariance structure). ℓ never falls, and Anderson's
 //! extrapolation speeds up the iteration.
 
 mod anderson;
@@ -38,7 +38,7 @@ const SADDLE_DISTANCE: f64 = 0.05;
 /// Part of the slope along the step of EM by which a longer step must raise ℓ; the step itself raises ℓ by half of that
 /// slope or more.
 const MIN_STEP_GAIN: f64 = 0.5;
-/// Part of that slope by which an extrapolation must raise ℓ.
+/// Part of the slope along the step of EM by which an extrapolation must raise ℓ.
 const MIN_EXTRAPOLATION_GAIN: f64 = 0.1;
 /// Least factor by which a step of EM is lengthened.
 const MIN_STRETCH: f64 = 2.0;
@@ -53,7 +53,7 @@ const MAX_STUCK: usize = 4;
 pub(crate) struct Em<'b, 'a> {
     search: SearchState<'b, 'a>,
     ways: Vec<Way>,
-    /// Values that were zero when `ways` was determined.
+    /// Indices of the values that were zero when `ways` was determined.
     zero: Vec<usize>,
     ascent: Ascent,
     anderson: Anderson,
@@ -61,7 +61,7 @@ pub(crate) struct Em<'b, 'a> {
     stretch: f64,
 }
 
-/// A certificate.
+/// Joint information, decrement and concavity of ℓ at a point.
 struct CertificateCheck {
     joint: JointInformation,
     decrement: f64,

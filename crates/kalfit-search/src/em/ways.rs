@@ -17,7 +17,7 @@ pub(super) enum Way {
     Likelihood,
 }
 
-/// How EM moves every free value: by what the model says and, where it says nothing, by trying.
+/// The way of each free value: from the model and, where the model does not decide, from trial steps.
 pub(super) fn ways(objective: &ProfileLikelihood<'_>, iterate: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
     let levels = objective.levels(&iterate.alpha)?;
     let mut direct = objective.matrix_slots();

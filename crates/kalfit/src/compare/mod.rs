@@ -267,7 +267,8 @@ fn own_densities(fit: &FitRecord) -> Option<Vec<(&str, f64)>> {
     Some(all)
 }
 
-/// Differences of predictive densities to the best one; these compare whatever criterion was maximised.
+/// Differences of log predictive densities to the best fit; predictive densities can be compared whatever criterion was
+/// maximised.
 fn predictive(fits: &mut [ComparedFit], records: &[&FitRecord]) {
     if records.iter().any(|fit| fit.log_likelihood_kind != records[0].log_likelihood_kind) {
         return;

@@ -16,7 +16,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 /// The mean of the z = e/√S is known to be zero and is not subtracted, so that Q has exactly the mean of its χ² however
 /// few innovations there are, and a bias of the innovations counts as correlation. The tail of Q differs from the tail
 /// of χ² and is known by simulation for every length: the p-value holds to 1e-6 and beyond
-/// (book/src/guide/coverage.md). Each measurement's Q is converted to the χ² value of the same probability, and these
+/// (book/src/guide/coverage.md). Each measurement's Q is converted to the χ² value of the same probability, and the χ²
 /// values are added up. A measurement with fewer than five innovations has no lag. The lag is counted in innovations of
 /// the measurement, whatever the time between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,17 +35,17 @@ impl Whiteness {
     /// Tests e/√S of each measurement, in the order of the filter; `None` when no measurement has five innovations, or
     /// all innovations are zero.
     pub fn of<'a>(channels: impl Iterator<Item = &'a [f64]>) -> Option<Whiteness> {
-        let (mut statistic, mut value, mut lags, mut degrees_of_freedom) = (0.0, 0.0, 0, 0);
+        let (mut statistic, mut chi_squared_sum, mut lags, mut degrees_of_freedom) = (0.0, 0.0, 0, 0);
         for z in channels {
             if let Some(q) = ljung_box(z) {
                 statistic += q;
-                value += null::chi_squared_value(q, z.len());
+                chi_squared_sum += null::chi_squared_value(q, z.len());
                 lags = lags.max(lag_count(z.len()));
                 degrees_of_freedom += lag_count(z.len());
             }
         }
         let chi = ChiSquared::new(degrees_of_freedom as f64).ok().filter(|_| degrees_of_freedom > 0)?;
-        Some(Whiteness { statistic, lags, degrees_of_freedom, p_value: chi.sf(value) })
+        Some(Whiteness { statistic, lags, degrees_of_freedom, p_value: chi.sf(chi_squared_sum) })
     }
 }
 

@@ -32,13 +32,13 @@ fn quantiles(n: usize) -> [f64; LEVELS] {
         return QUANTILES[n - INNOVATIONS_PER_LAG];
     }
     let longer = LENGTHS.iter().position(|&length| n < length).unwrap_or(LENGTHS.len());
-    let part = |length: usize| (length as f64).recip();
-    let (near, lower) = (part(LENGTHS[longer - 1]), &QUANTILES[SHORT_ROWS + longer - 1]);
+    let reciprocal = |length: usize| (length as f64).recip();
+    let (near, lower) = (reciprocal(LENGTHS[longer - 1]), &QUANTILES[SHORT_ROWS + longer - 1]);
     let (far, upper) = match LENGTHS.get(longer) {
-        Some(&length) => (part(length), &QUANTILES[SHORT_ROWS + longer]),
+        Some(&length) => (reciprocal(length), &QUANTILES[SHORT_ROWS + longer]),
         None => (0.0, &CHI_SQUARED[MAX_LAGS - 1]),
     };
-    let weight = (part(n) - far) / (near - far);
+    let weight = (reciprocal(n) - far) / (near - far);
     std::array::from_fn(|level| upper[level] + weight * (lower[level] - upper[level]))
 }
 

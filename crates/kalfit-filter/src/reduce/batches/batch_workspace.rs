@@ -19,8 +19,8 @@ const MAX_BATCH_BYTES: usize = 128 << 20;
 
 /// Number of tests, from the first one on and at least one, that form a batch of at most `lanes` tests.
 pub(super) fn batch_len(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
-    let many = own.iter().take(lanes).take_while(|other| other.fits_batch_of(&own[0])).count();
-    if batch_bytes(preparer, &own[..many], lanes) > MAX_BATCH_BYTES { 1 } else { many }
+    let fitting_tests = own.iter().take(lanes).take_while(|other| other.fits_batch_of(&own[0])).count();
+    if batch_bytes(preparer, &own[..fitting_tests], lanes) > MAX_BATCH_BYTES { 1 } else { fitting_tests }
 }
 
 /// Width of a batch of `tests` tests: one lane for a single test, because empty lanes take as long as full lanes.
@@ -33,12 +33,13 @@ pub(super) fn batch_bytes(preparer: &Preparer, own: &[Skeleton], lanes: usize) -
     let (frame, transition, dynamics) = (&preparer.order.frame, preparer.plan.blank(), &preparer.dynamics);
     let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
     let varying = dynamics.table.varying.len() + dynamics.inputs.varying.len();
-    let of_row = 8 + terms + frame.r + frame.p;
-    let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + preparer.plan.flow_len + varying;
-    let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
-    let (rows, steps) = (most(|own| own.instances.len()), most(Skeleton::len));
+    let values_per_row = 8 + terms + frame.r + frame.p;
+    let values_per_step =
+        3 + transition.phi.len() + transition.q.len() + frame.driven.len() + preparer.plan.flow_len + varying;
+    let largest = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
+    let (rows, steps) = (largest(|own| own.instances.len()), largest(Skeleton::len));
     // values in all lanes, then the common shape of the designs
-    8 * (lanes * (rows * of_row + steps * of_step) + rows * (4 + 2 * terms) + steps * 7)
+    8 * (lanes * (rows * values_per_row + steps * values_per_step) + rows * (4 + 2 * terms) + steps * 7)
 }
 
 /// Work space that evaluates and filters one batch after another.
@@ -47,7 +48,7 @@ pub(crate) struct BatchWorkspace {
     lanes: usize,
     layout: BatchLayout,
     values: BatchValues,
-    /// Layout and values for a batch of one test while `layout` and `values` are for several tests, and vice versa.
+    /// Layout and values for one test while `layout` and `values` are for several tests, else for several tests.
     other_width: (BatchLayout, BatchValues),
     own: Vec<TestHeader>,
     design_digests: Vec<DesignDigest>,
@@ -76,9 +77,9 @@ impl FilteredLane<'_> {
         let BatchLayout { lanes, measured, design, .. } = &self.workspace.layout;
         let filter = &self.workspace.values.batch_filter;
         let weights = filter.design_batch.weights((self.lane, *lanes), design.rows());
-        let has = measured.iter().skip(self.lane).step_by(*lanes);
-        let all = filter.block.innovations(self.lane, self.scratch).zip(weights).zip(has);
-        all.filter(|(_, has)| **has != 0.0).map(|(found, _)| found)
+        let has_row = measured.iter().skip(self.lane).step_by(*lanes);
+        let row_innovations = filter.block.innovations(self.lane, self.scratch).zip(weights).zip(has_row);
+        row_innovations.filter(|(_, has_row)| **has_row != 0.0).map(|(found, _)| found)
     }
 }
 

@@ -63,10 +63,10 @@ impl BatchLayout {
 
     /// Lays out `tests` in place of the previous tests.
     pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
-        let is_one = own.iter().all(|other| other.has_steps_of(&own[0]));
-        if !(is_one && self.has_shape_of(&own[0])) {
-            self.shape(preparer, own);
-            self.has_one_shape = is_one;
+        let have_one_shape = own.iter().all(|other| other.has_steps_of(&own[0]));
+        if !(have_one_shape && self.has_shape_of(&own[0])) {
+            self.build_shape(preparer, own);
+            self.has_one_shape = have_one_shape;
         }
         self.tests.clear();
         self.tests.extend(own.iter().map(|skeleton| skeleton.number));
@@ -103,12 +103,12 @@ impl BatchLayout {
     }
 
     /// Builds the common shape of these tests: the steps and the measurements of each step.
-    fn shape(&mut self, preparer: &Preparer, own: &[Skeleton]) {
+    fn build_shape(&mut self, preparer: &Preparer, own: &[Skeleton]) {
         self.meters.clear();
         self.design.clear();
         self.design.moves.push(Arc::new(preparer.plan.blank()));
         for k in 0..own.iter().map(Skeleton::len).max().unwrap_or(0) {
-            self.measurements(own, k);
+            self.append_lines(own, k);
             let (lines, moves) = (self.meters.len(), own.iter().any(|own| own.moves(k)));
             let transition = moves.then_some(0);
             self.design.runs.push(EqualSteps { transition, lines, count: 1, rows: lines, steps: k + 1 });
@@ -119,12 +119,12 @@ impl BatchLayout {
 
     /// Appends the lines of step `k`: one for each measurement that any of the tests has in the step, in an order that
     /// agrees with the order in each test.
-    fn measurements(&mut self, own: &[Skeleton], k: usize) {
+    fn append_lines(&mut self, own: &[Skeleton], k: usize) {
         let first = self.meters.len();
         let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
         self.meters.extend(longest.iter().map(|instance| instance.meter));
         for instance in own.iter().flat_map(|own| own.of(k)) {
-            // tests that differ in their measurements have one row per step, measured in the order of the model
+            // tests with different measurements have one row per step, measured in the order of the model
             if !self.meters[first..].contains(&instance.meter) {
                 let place = self.meters[first..].partition_point(|&meter| meter < instance.meter);
                 self.meters.insert(first + place, instance.meter);

@@ -46,7 +46,7 @@ impl<'a> Refresh<'a> {
 
     /// Updates the values in the lanes where `present` is not zero. `value` evaluates a coefficient in a lane, `put`
     /// stores the result.
-    fn each(
+    fn refresh_lanes(
         &self,
         present: &[f64],
         value: impl Fn(usize, &Coefficient) -> Result<f64, Box<Fault>>,
@@ -76,7 +76,11 @@ struct MeasurementRefresh<'a> {
 impl BatchValues {
     /// Values for lanes of this width, without tests yet.
     pub(super) fn new(width: Width) -> BatchValues {
-        BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), valid: [true; MAX_LANES] }
+        BatchValues {
+            batch_filter: BatchFilter::new(width),
+            motion: MotionColumns::default(),
+            valid: [true; MAX_LANES],
+        }
     }
 
     /// Takes new tests in place of the previous tests and evaluates all values.
@@ -136,8 +140,8 @@ impl BatchValues {
     /// Evaluates h, R and z - d of each row of each test.
     fn measure(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         let (at, lanes) = (preparer.at(), layout.lanes);
-        let mixed = !preparer.meters.can_repeat();
-        let refresh = |coefficient| Refresh::of(&at, coefficient, fresh || mixed);
+        let may_correlate = !preparer.meters.can_repeat();
+        let refresh = |coefficient| Refresh::of(&at, coefficient, fresh || may_correlate);
         let refreshes = preparer.meters.parts().map(|(noise, constant, terms)| MeasurementRefresh {
             noise: refresh(noise),
             constant: refresh(constant),
@@ -146,7 +150,7 @@ impl BatchValues {
         let refreshes: Vec<MeasurementRefresh<'_>> = refreshes.collect();
         let BatchValues { batch_filter, valid, .. } = self;
         let BatchColumns { h, noise, values, .. } = batch_filter.columns();
-        if mixed {
+        if may_correlate {
             h.fill(0.0);
         }
         let mut first = 0;
@@ -156,18 +160,23 @@ impl BatchValues {
             let present = &layout.measured[places.clone()];
             let scope = |lane: usize| layout.scope(&at, tests, (places.start + lane, lane));
             let out = &mut noise[places.clone()];
-            variance.each(present, |lane, c| at.variance_value(c, &scope(lane)), valid, |lane, x| out[lane] = x);
+            variance.refresh_lanes(
+                present,
+                |lane, c| at.variance_value(c, &scope(lane)),
+                valid,
+                |lane, x| out[lane] = x,
+            );
             let (z, out) = (&layout.z[places.clone()], &mut values[places.clone()]);
             let value = |lane: usize, c: &Coefficient| at.value(c, &scope(lane));
-            constant.each(present, value, valid, |lane, d| out[lane] = z[lane] - d);
+            constant.refresh_lanes(present, value, valid, |lane, d| out[lane] = z[lane] - d);
             let (line, own) = &layout.shapes[meter];
             for (coefficient, place) in terms.iter().zip(own) {
                 let out = &mut h[(first + place) * lanes..][..lanes];
-                coefficient.each(present, value, valid, |lane, x| out[lane] = x);
+                coefficient.refresh_lanes(present, value, valid, |lane, x| out[lane] = x);
             }
             first += line.len();
         }
-        if mixed {
+        if may_correlate {
             self.whiten(layout, (preparer, tests));
         }
     }
@@ -204,7 +213,7 @@ fn table(
                 let scope = layout.moving(at, tests, (places.start + lane, lane));
                 if *variance { at.variance_value(c, &scope) } else { at.value(c, &scope) }
             };
-            refresh.each(&steps.moving[places.clone()], value, valid, |lane, x| out[lane] = x);
+            refresh.refresh_lanes(&steps.moving[places.clone()], value, valid, |lane, x| out[lane] = x);
         }
     }
 }

@@ -20,7 +20,7 @@ impl BatchValues {
         }
     }
 
-    /// Whitens these lines of one step of the test in a lane; `None` if their noises have no valid covariance matrix.
+    /// Whitens these lines of one step of the test in a lane; `None` if the noises have no valid covariance matrix.
     fn whiten_step(
         &mut self,
         (layout, lane, rows): (&BatchLayout, usize, &[usize]),
@@ -28,14 +28,14 @@ impl BatchValues {
         test: &Test,
     ) -> Option<()> {
         let (instances, dt) = layout.instances_of(lane, rows);
-        let found = preparer.meters.covariances(&preparer.at(), test, dt, &instances).ok()?;
-        if found.is_empty() {
+        let correlated_pairs = preparer.meters.covariances(&preparer.at(), test, dt, &instances).ok()?;
+        if correlated_pairs.is_empty() {
             return Some(());
         }
         let place = |row: usize| row * layout.lanes + lane;
         let (n, (mut dense, mut measured)) = (layout.design.frame.n, self.measured_in(layout, lane, rows));
         let noises: Vec<f64> = rows.iter().map(|&row| self.batch_filter.design_batch.noise[place(row)]).collect();
-        let whitening = Whitening::new(&noises, found.iter().map(|c| (c.i, c.j, c.value))).ok()?;
+        let whitening = Whitening::new(&noises, correlated_pairs.iter().map(|c| (c.i, c.j, c.value))).ok()?;
         whitening.apply(&mut dense, n);
         whitening.apply(&mut measured, 1);
         let BatchColumns { h, noise, values, .. } = self.batch_filter.columns();
@@ -52,9 +52,9 @@ impl BatchValues {
     pub(crate) fn measured_in(&self, layout: &BatchLayout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
         let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
         let (mut dense, coefficients) = (vec![0.0; rows.len() * n], &self.batch_filter.design_batch.h);
-        for (&row, own) in rows.iter().zip(dense.chunks_exact_mut(n)) {
+        for (&row, dense_row) in rows.iter().zip(dense.chunks_exact_mut(n)) {
             for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
-                own[state as usize] = coefficients[place(term)];
+                dense_row[state as usize] = coefficients[place(term)];
             }
         }
         (dense, rows.iter().map(|&row| self.batch_filter.block.measured()[place(row)]).collect())

@@ -71,22 +71,26 @@ impl Design {
     /// Digest of all numbers of the design. Consecutive equal steps enter one by one, as in lanes, except in long
     /// stretches.
     pub(crate) fn digest(&self) -> u128 {
-        let mut identity = DesignDigest::new();
-        identity.begin(&self.frame, self.variance.iter().copied());
+        let mut design_digest = DesignDigest::new();
+        design_digest.begin(&self.frame, self.variance.iter().copied());
         for Stretch { transition, lines, count, .. } in self.stretches() {
             let (times, many) = if self.is_long(count) { (1, count) } else { (count, 1) };
             for _ in 0..times {
                 if let Some(transition) = transition {
-                    identity.moves(&transition.pattern, transition.phi.iter().copied(), transition.q.iter().copied());
+                    design_digest.moves(
+                        &transition.pattern,
+                        transition.phi.iter().copied(),
+                        transition.q.iter().copied(),
+                    );
                 }
                 for line in lines.clone() {
                     let (states, h) = self.terms(line);
-                    identity.line(states.iter().copied().zip(h.iter().copied()), self.noise[line]);
+                    design_digest.line(states.iter().copied().zip(h.iter().copied()), self.noise[line]);
                 }
-                identity.end(many);
+                design_digest.end(many);
             }
         }
-        identity.finish()
+        design_digest.finish()
     }
 
     /// True if the designs are equal bit for bit.

@@ -46,16 +46,19 @@ impl DataBlock {
     /// Puts the start and the inputs of a test into a lane.
     pub(crate) fn begin(&mut self, lane: usize, start: &[f64], inputs: &[f64]) {
         let lanes = self.width.lanes();
-        self.numbers.chunks_exact_mut(lanes).zip(start).for_each(|(all, x)| all[lane] = *x);
-        self.numbers[self.inputs * lanes..].chunks_exact_mut(lanes).zip(inputs).for_each(|(all, x)| all[lane] = *x);
+        self.numbers.chunks_exact_mut(lanes).zip(start).for_each(|(lane_values, x)| lane_values[lane] = *x);
+        self.numbers[self.inputs * lanes..]
+            .chunks_exact_mut(lanes)
+            .zip(inputs)
+            .for_each(|(lane_values, x)| lane_values[lane] = *x);
     }
 
     /// Puts the values z - d of several tests into the first lanes; `cells`: (cell, d) of each value, the cell being an
     /// index into the test's numbers.
     pub(crate) fn put_values(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
         let lanes = self.width.lanes();
-        for (all, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
-            all.iter_mut().zip(numbers).for_each(|(z, numbers)| *z = numbers[cell] - d);
+        for (lane_values, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
+            lane_values.iter_mut().zip(numbers).for_each(|(z, numbers)| *z = numbers[cell] - d);
         }
     }
 

@@ -14,7 +14,7 @@ use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
 use kalfit_algebra::symmetric::pairs;
 
-/// Designs of one shape and the results of their pass, in lanes.
+/// Designs of one shape and the results of the design pass, in lanes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct DesignBatch {
     /// P0, h, R, φ and Q, in lanes.
@@ -39,7 +39,7 @@ pub(crate) struct DesignBatch {
     /// True if the last states of the designs are wanted.
     pub(crate) with_ends: bool,
     /// P and Ψ after the last step of each design, in lanes; written only if `with_ends`.
-    last: (Vec<f64>, Vec<f64>),
+    last_moments: (Vec<f64>, Vec<f64>),
 }
 
 /// The design pass over `tests` designs in lanes, all of the shape of `design`, and then the data pass.
@@ -97,8 +97,8 @@ impl DesignBatch {
         self.gains.resize(design.rows() * self.stride * T::COUNT, 0.0);
         self.sensitivities.resize(design.rows() * self.p * T::COUNT, 0.0);
         if self.with_ends {
-            self.last.0.resize(frame.r * frame.r * T::COUNT, 0.0);
-            self.last.1.resize(frame.sensitivity.len() * T::COUNT, 0.0);
+            self.last_moments.0.resize(frame.r * frame.r * T::COUNT, 0.0);
+            self.last_moments.1.resize(frame.sensitivity.len() * T::COUNT, 0.0);
         }
         let mut filter = CovarianceFilter::<T>::new(frame, SideBySide(&self.variance));
         let (mut first, mut row) = (0, 0);
@@ -115,7 +115,7 @@ impl DesignBatch {
             first = run.lines;
         }
         if self.with_ends {
-            for (from, to) in [(&filter.P, &mut self.last.0), (&filter.Psi, &mut self.last.1)] {
+            for (from, to) in [(&filter.P, &mut self.last_moments.0), (&filter.Psi, &mut self.last_moments.1)] {
                 for (k, x) in from.iter().enumerate() {
                     put(to, k, *x);
                 }
@@ -169,7 +169,7 @@ impl DesignBatch {
     /// model's state at each position in kernel order.
     pub(crate) fn end(&self, (lane, lanes): (usize, usize), states: &[usize]) -> Option<TerminalRoot> {
         let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(lanes).copied().collect() };
-        TerminalRoot::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
+        TerminalRoot::of_covariance(states, &own(&self.last_moments.1), &own(&self.last_moments.0), self.stride - 1)
     }
 
     /// 1/S of the first `rows` scalar measurements of the design in a lane.
@@ -188,8 +188,11 @@ impl<T: Lanes> Numbers<T> for DesignBatch {
     #[inline(always)]
     fn transition<'a>(&'a self, design: &'a Design, run: usize) -> Option<TransitionView<'a, SideBySide<'a>>> {
         let pattern = &*design.transition(&design.runs[run])?.pattern;
-        let after = |all, many: usize| Entries::<T>::skip(SideBySide(all), self.moves[run] * many);
-        let (phi, q) = (after(&self.phi, pattern.columns.len()), after(&self.q, pattern.pairs.len()));
+        let transition_entries = |all, entries_per_transition: usize| {
+            Entries::<T>::skip(SideBySide(all), self.moves[run] * entries_per_transition)
+        };
+        let (phi, q) =
+            (transition_entries(&self.phi, pattern.columns.len()), transition_entries(&self.q, pattern.pairs.len()));
         Some(TransitionView { pattern, phi, q })
     }
 

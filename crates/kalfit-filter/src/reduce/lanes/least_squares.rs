@@ -76,23 +76,23 @@ pub(super) fn weighted_sums<T: Lanes, N: Numbers<T>>(
     xi: &[T],
     sum: &mut [T],
 ) -> T {
-    let (mut total, mut from) = (T::splat(0.0), rows.start);
-    while from < rows.end {
-        let Repeats { steady, end, width } = numbers.repeats(from, rows.end);
-        if from < steady {
-            total = total + each::<T, N>((numbers, design), from..steady, (e, xi), sum);
+    let (mut total, mut first_row) = (T::splat(0.0), rows.start);
+    while first_row < rows.end {
+        let Repeats { steady, end, width } = numbers.repeats(first_row, rows.end);
+        if first_row < steady {
+            total = total + sums_of_different_rows::<T, N>((numbers, design), first_row..steady, (e, xi), sum);
         }
         if steady < end {
-            total = total + equal::<T, N>(numbers, (steady..end, width), (e, xi), sum);
+            total = total + sums_of_equal_rows::<T, N>(numbers, (steady..end, width), (e, xi), sum);
         }
-        from = end;
+        first_row = end;
     }
     total
 }
 
 /// [`weighted_sums`] of rows with different 1/S and T.
 #[inline(always)]
-fn each<T: Lanes, N: Numbers<T>>(
+fn sums_of_different_rows<T: Lanes, N: Numbers<T>>(
     (numbers, design): (&N, &Design),
     rows: Range<usize>,
     (e, xi): (&[f64], &[T]),
@@ -108,7 +108,7 @@ fn each<T: Lanes, N: Numbers<T>>(
             let remainder = remainder(sensitivities, xi, at(e, row));
             let weighted = remainder * numbers.gains(row).0;
             square = remainder.fma(weighted, square);
-            add(sensitivities, weighted, &mut part);
+            add_weighted_row(sensitivities, weighted, &mut part);
         }
         total = total + square;
         for (sum, &part) in sum.iter_mut().zip(&part) {
@@ -121,7 +121,7 @@ fn each<T: Lanes, N: Numbers<T>>(
 
 /// [`weighted_sums`] of rows of which every `width`-th shares one 1/S and T.
 #[inline(always)]
-fn equal<T: Lanes, N: Numbers<T>>(
+fn sums_of_equal_rows<T: Lanes, N: Numbers<T>>(
     numbers: &N,
     (rows, width): (Range<usize>, usize),
     (e, xi): (&[f64], &[T]),
@@ -133,7 +133,7 @@ fn equal<T: Lanes, N: Numbers<T>>(
         let (remainder, squares) =
             sum_and_squares(e, (row..rows.end, width), remainder(sensitivities, xi, T::splat(0.0)));
         total = squares.fma(weight, total);
-        add(sensitivities, remainder * weight, sum);
+        add_weighted_row(sensitivities, remainder * weight, sum);
     }
     total
 }
@@ -147,14 +147,14 @@ fn sum_and_squares<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t:
         let end = rows.end.min(start + STEPS_PER_SUM * width);
         let (mut sums, mut parts) = ([zero; PARTIAL_SUMS], [zero; PARTIAL_SUMS]);
         for group in (start..end).step_by(PARTIAL_SUMS * width) {
-            for (side, row) in (group..end).step_by(width).take(PARTIAL_SUMS).enumerate() {
+            for (partial_index, row) in (group..end).step_by(width).take(PARTIAL_SUMS).enumerate() {
                 let remainder = at::<T>(e, row) + t;
-                sums[side] = sums[side] + remainder;
-                parts[side] = remainder.fma(remainder, parts[side]);
+                sums[partial_index] = sums[partial_index] + remainder;
+                parts[partial_index] = remainder.fma(remainder, parts[partial_index]);
             }
         }
-        for side in 0..PARTIAL_SUMS {
-            (sum, squares) = (sum + sums[side], squares + parts[side]);
+        for partial_index in 0..PARTIAL_SUMS {
+            (sum, squares) = (sum + sums[partial_index], squares + parts[partial_index]);
         }
     }
     (sum, squares)
@@ -172,7 +172,7 @@ fn remainder<T: Lanes, E: Entries<T>>(sensitivities: E, xi: &[T], e: T) -> T {
 
 /// sum ← sum + T'x, with T of a row.
 #[inline(always)]
-pub(super) fn add<T: Lanes, E: Entries<T>>(sensitivities: E, x: T, sum: &mut [T]) {
+pub(super) fn add_weighted_row<T: Lanes, E: Entries<T>>(sensitivities: E, x: T, sum: &mut [T]) {
     for (k, sum) in sum.iter_mut().enumerate() {
         *sum = sensitivities.entry(k).fma(x, *sum);
     }

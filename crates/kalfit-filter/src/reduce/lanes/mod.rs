@@ -1,7 +1,7 @@
 //! Tests in lanes, one test per lane. Tests of one design share the data pass; tests whose designs have one shape share
 //! the design pass too.
 //!
-//! The numbers of a lane never depend on the other lanes, and a single test takes the same path in one lane
+//! The numbers of a lane never depend on the other lanes, and a single test is filtered in one lane
 //! ([`Isa::alone`](kalfit_lanes::Isa::alone)): the reduction of a test has the same bits whatever else is in the batch.
 
 mod batch_filter;

@@ -7,7 +7,7 @@ use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Stretch, TransitionView};
 use crate::reduce::entries::Entries;
 
-/// The numbers that a pass reads from the designs of its tests: shared by all lanes, or one per lane.
+/// The numbers that a pass reads from the designs of tests: shared by all lanes, or one per lane.
 pub(crate) trait Numbers<T> {
     /// Type of a list of numbers: shared by all lanes, or one per lane.
     type List<'a>: Entries<T>

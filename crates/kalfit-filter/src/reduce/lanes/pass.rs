@@ -16,7 +16,7 @@ use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::{STEPS_PER_SUM, Scan, scanned};
 
-/// The numbers of one design that all lanes share.
+/// A design that all lanes share, and the gains of the design.
 struct SharedDesign<'a> {
     design: &'a Design,
     gains: &'a Gains,
@@ -200,7 +200,7 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     for (at_run, run) in design.runs.iter().enumerate() {
         if N::CAN_SCAN && !L::OBSERVES_EVERY_ROW && design.is_long(run.count) {
             let (x, y) = (&mut *state.x, &mut *state.y);
-            let long = StretchScan {
+            let stretch_scan = StretchScan {
                 numbers,
                 design,
                 stretch: design.stretch(at_run),
@@ -209,7 +209,7 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
                 y,
                 e: &mut scratch.e,
             };
-            if let Some(square) = T::apart(long) {
+            if let Some(square) = T::apart(stretch_scan) {
                 state.square = state.square + square;
                 (line, row, step) = (run.lines, run.rows, run.steps);
                 continue;
@@ -309,7 +309,7 @@ impl<T: Lanes> MeanState<T> {
         let (weight, K) = numbers.gains(row);
         kernel::correct_mean(K, e, &mut self.x[..design.frame.r]);
         let weighted = e * weight;
-        least_squares::add(numbers.sensitivities(row), weighted, &mut self.y_part);
+        least_squares::add_weighted_row(numbers.sensitivities(row), weighted, &mut self.y_part);
         self.square_part = e.fma(weighted, self.square_part);
         e
     }

@@ -1,6 +1,6 @@
 //! The inputs of a filter run: prior, model without a law of x_0, and the columns constant within a test.
 
-use crate::reduce::error::{ReduceErrorKind, finite, of_shape};
+use crate::reduce::error::{ReduceErrorKind, check_shape, finite};
 use kalfit_algebra::symmetric::{is_semidefinite, scaled_range};
 use kalfit_model::{CovarianceStructure, Expression, Filter, Initial, MeanStructure, Model};
 use kalfit_model::{Label, Test};
@@ -47,8 +47,8 @@ fn zero() -> Expression {
 pub(super) fn check(filter: &Filter, model: &Model) -> Result<(), (&'static str, ReduceErrorKind)> {
     let n = model.states.len();
     let (mean, covariance) = ("prior mean of the filter", "prior covariance of the filter");
-    of_shape((filter.mean.len(), 1), (n, 1)).map_err(|kind| (mean, kind))?;
-    of_shape(filter.covariance.shape(), (n, n)).map_err(|kind| (covariance, kind))?;
+    check_shape((filter.mean.len(), 1), (n, 1)).map_err(|kind| (mean, kind))?;
+    check_shape(filter.covariance.shape(), (n, n)).map_err(|kind| (covariance, kind))?;
     if let Some(&state) = filter.consider.iter().find(|state| **state >= n) {
         let kind = ReduceErrorKind::Shape { found: (state + 1, 1), expected: (n, 1) };
         return Err(("considered state of the filter", kind));

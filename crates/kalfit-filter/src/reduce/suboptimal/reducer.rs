@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::Terminal;
 use crate::reduce::digest::Digest;
-use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, check_shape, finite, refuse};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::root;
 use crate::reduce::shared_store::{SharedStore, StoreEntry as Entry};
@@ -221,7 +221,7 @@ fn check(estimates: &Estimates, n: usize, widths: (usize, usize)) -> Result<(), 
         ("constants of the estimates", constants.widths(), widths),
     ];
     for (what, found, expected) in shapes {
-        of_shape(found, expected).map_err(|kind| (what, kind))?;
+        check_shape(found, expected).map_err(|kind| (what, kind))?;
     }
     let vectors = [("estimates", &estimates.estimates), (shapes[0].0, offsets), (shapes[3].0, drift)];
     let matrices = [(shapes[1].0, sensitivities), (shapes[2].0, transition), (shapes[4].0, root)];

@@ -143,7 +143,8 @@ impl<T: Lanes> DataBackwardState<T> {
                 }
             }
         }
-        let numbers: [&[f64]; MAX_LANES] = std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
+        let numbers: [&[f64]; MAX_LANES] =
+            std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
         for (e, &(cell, d)) in self.e.chunks_exact_mut(T::COUNT).zip(shared.cells) {
             for lane in 0..T::COUNT {
                 e[lane] = numbers[lane][cell] - d;

@@ -52,7 +52,8 @@ impl ParameterBuilder {
             Value::Fixed(value) => Some(value),
             Value::Free { start } => start,
         };
-        let out_of_range = |what: String, found: f64, expected: String| Err(BuildError::OutOfRange { what, found, expected });
+        let out_of_range =
+            |what: String, found: f64, expected: String| Err(BuildError::OutOfRange { what, found, expected });
         for value in value_or_start.into_iter().chain(self.levels.iter().map(|(_, value)| *value)) {
             role.check(value, what)?;
             if let Some(bound) = self.lower.filter(|bound| value < *bound) {
