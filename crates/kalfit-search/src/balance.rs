@@ -5,7 +5,7 @@
 use crate::Coordinate;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::scales::{measures, time_constants};
-use crate::tries::{TRIAL_FACTOR, tried};
+use crate::tries::{TRIAL_FACTOR, likelihoods_at};
 use kalfit_estimate::Progress;
 
 /// Powers of [`TRIAL_FACTOR`] tried where levels of one kind alone are unknown.
@@ -24,7 +24,7 @@ pub(super) fn balance(
     values: &mut Vec<f64>,
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
-    let (measured, moved) = kinds(small, unknown);
+    let (measured, moved) = unknown_levels(small, unknown);
     let (rows, columns): (&[i32], &[i32]) = match (measured.is_empty(), moved.is_empty()) {
         (true, true) => return Vec::new(),
         (false, true) => (&POWERS_ALONE, &[0]),
@@ -46,7 +46,7 @@ pub(super) fn balance(
     };
     let points: Vec<Vec<f64>> =
         rows.iter().flat_map(|&a| columns.iter().map(move |&b| (a, b))).map(|(a, b)| at(a, b)).collect();
-    let heights = tried(small, &points, progress);
+    let heights = likelihoods_at(small, &points, progress);
     let heights: Vec<f64> = heights.into_iter().map(|height| height.unwrap_or(f64::NEG_INFINITY)).collect();
     let mut peaks = peaks(&heights, columns.len());
     peaks.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]));
@@ -65,7 +65,7 @@ fn step(coordinate: Coordinate, value: f64, power: i32) -> f64 {
 }
 
 /// Free values that are unknown noise levels: (of measurements, of motion).
-fn kinds(small: &ProfileLikelihood<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<usize>) {
+fn unknown_levels(small: &ProfileLikelihood<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let constants = time_constants(small.model);
     let slots = small.slots.slots();
     let level = |s: &usize| {

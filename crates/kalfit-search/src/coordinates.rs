@@ -8,9 +8,9 @@ use crate::scales::time_constants;
 use kalfit_model::{Expression, PhasedModel, Site, Slots};
 
 /// Least size to which the step of a value is relative, where the value itself is sought, not the logarithm.
-const LEAST: f64 = 1e-2;
+const MIN_STEP_SIZE: f64 = 1e-2;
 /// Least curvature of ℓ in a variance, relative to |slope|; a smaller curvature is replaced by this one.
-const STRAIGHT: f64 = 1e-3;
+const MIN_RELATIVE_CURVATURE: f64 = 1e-3;
 
 /// The way in which one free value is sought.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +55,7 @@ impl Coordinate {
 
     /// Length of a step in the coordinate: `part` for a logarithm, `part` × the size of another value.
     pub fn step(&self, value: f64, part: f64) -> f64 {
-        if self.log { part } else { part * value.abs().max(LEAST) }
+        if self.log { part } else { part * value.abs().max(MIN_STEP_SIZE) }
     }
 
     /// The value after a step in the coordinate, within bounds.
@@ -72,7 +72,7 @@ impl Coordinate {
     }
 
     /// Five values over the range, both ends included.
-    pub(crate) fn spread(&self, value: f64) -> Vec<f64> {
+    pub(crate) fn values_over_range(&self, value: f64) -> Vec<f64> {
         let size = if value == 0.0 { 1.0 } else { value.abs() };
         let end = |bound: f64, other: f64| if bound.is_finite() { bound } else { other };
         let (low, high) = match self.log {
@@ -83,7 +83,7 @@ impl Coordinate {
     }
 
     /// A start value strictly between the bounds where that is possible.
-    pub(crate) fn inside(&self, value: f64) -> f64 {
+    pub(crate) fn within_bounds(&self, value: f64) -> f64 {
         if value > self.lower && value < self.upper {
             return value;
         }
@@ -116,7 +116,7 @@ impl Coordinate {
 /// the level and `information` is -∂²ℓ/∂u².
 pub(super) fn in_variance(information: f64, exponent: f64, slope: f64) -> f64 {
     let bend = exponent * slope;
-    (information + bend).max(STRAIGHT * bend.abs())
+    (information + bend).max(MIN_RELATIVE_CURVATURE * bend.abs())
 }
 
 /// Whether two points agree in each value, up to the relative difference `part`.

@@ -21,9 +21,9 @@ use kalfit_model::{Label, Test};
 /// Maximal number of rows with different cells over which an edge is computed.
 const MOST_ROWS: usize = 4096;
 /// Relative margin between a covariance and the edge, because of rounding.
-const WITHIN: f64 = 1e-9;
+const EDGE_MARGIN: f64 = 1e-9;
 /// Part of the edge at which a start beyond the edge is placed.
-const INSIDE: f64 = 0.95;
+const START_PART: f64 = 0.95;
 
 /// All covariances of noises that are sought relative to the edge.
 #[derive(Debug, Clone, Default)]
@@ -71,7 +71,7 @@ impl CorrelationBounds {
         let alpha = slots.alpha(model.shared(), &vec![1.0; slots.len()]);
         let mut least: std::collections::BTreeMap<usize, f64> = Default::default();
         for (at, phase) in model.phases.iter().enumerate() {
-            for entry in entries(&phase.model) {
+            for entry in noise_pairs(&phase.model) {
                 let evidence = || tests.iter().filter_map(|test| test.phases.get(at));
                 for (own, other) in [(0, 1), (1, 0)] {
                     let (own, other) = (entry.variances[own], entry.variances[other]);
@@ -99,13 +99,13 @@ impl CorrelationBounds {
         values
     }
 
-    /// The sought values at the given values of α; a covariance beyond the edge becomes [`INSIDE`] times the edge.
+    /// The sought values at the given values of α; a covariance beyond the edge becomes [`START_PART`] times the edge.
     pub(crate) fn sought(&self, values: &[f64], alpha: &Alpha) -> Vec<f64> {
         let mut sought = values.to_vec();
         for edge in &self.0 {
             let part =
                 edge.least(alpha).filter(|(least, _)| *least > 0.0).map_or(0.0, |(least, _)| values[edge.slot] / least);
-            sought[edge.slot] = if part.abs() > 1.0 { INSIDE * part.signum() } else { part };
+            sought[edge.slot] = if part.abs() > 1.0 { START_PART * part.signum() } else { part };
         }
         sought
     }
@@ -158,14 +158,15 @@ impl CorrelationBounds {
 
 impl CorrelationBound {
     fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest], parameter: usize) -> Option<CorrelationBound> {
-        let here = |expression: &Expression| expression.exponent(parameter) != Some(0.0);
+        let depends_on_parameter = |expression: &Expression| expression.exponent(parameter) != Some(0.0);
         let mut found = None;
         for (at, phase) in model.phases.iter().enumerate() {
-            let mut own = entries(&phase.model);
-            own.retain(|entry| here(entry.covariance));
+            let mut own = noise_pairs(&phase.model);
+            own.retain(|entry| depends_on_parameter(entry.covariance));
             let is_covariance = |site: Site| matches!(site, Site::NoiseCovariance | Site::ProcessCovariance);
             let rest = phase.model.expressions().into_iter().filter(|(site, _)| !is_covariance(*site));
-            let elsewhere = rest.map(|(_, expression)| expression).chain(phase.inherited_expressions()).any(here);
+            let elsewhere =
+                rest.map(|(_, expression)| expression).chain(phase.inherited_expressions()).any(depends_on_parameter);
             match &own[..] {
                 _ if elsewhere => return None,
                 [] => {}
@@ -193,7 +194,9 @@ impl CorrelationBound {
             let of = |expression: &Expression| expression.evaluate(&scope).ok();
             let [a, b] = [of(&self.variances[0])?, of(&self.variances[1])?];
             let factor = of(&self.factor)?.abs();
-            (factor > 0.0).then(|| (1.0 - WITHIN) * (a.max(0.0) * b.max(0.0)).sqrt() / factor).filter(|e| e.is_finite())
+            (factor > 0.0)
+                .then(|| (1.0 - EDGE_MARGIN) * (a.max(0.0) * b.max(0.0)).sqrt() / factor)
+                .filter(|e| e.is_finite())
         };
         let all = (0..self.rows.len()).filter_map(|row| Some((edge(row)?, row)));
         all.reduce(|least, other| if other.0 < least.0 { other } else { least })
@@ -248,7 +251,7 @@ fn known<'a>(
             [own.evaluate(&scope), other.evaluate(&scope), covariance.evaluate(&scope)];
         let least = covariance.ok()?.powi(2) / (variance.ok()? * factor.ok()?);
         let slot = slots.find(*parameter, &texts)?;
-        least.is_finite().then(|| (slot, (1.0 + WITHIN) * least.powf(exponent.recip())))
+        least.is_finite().then(|| (slot, (1.0 + EDGE_MARGIN) * least.powf(exponent.recip())))
     };
     rows(&all, evidence).unwrap_or_default().into_iter().filter_map(one).collect()
 }
@@ -259,7 +262,7 @@ struct NoisePair<'a> {
     variances: [&'a Expression; 2],
 }
 
-fn entries(model: &Model) -> Vec<NoisePair<'_>> {
+fn noise_pairs(model: &Model) -> Vec<NoisePair<'_>> {
     let noise = |state: usize| model.states[state].motion.noise_variance();
     let measured = model.noise_covariance.iter().map(|(i, j, covariance)| {
         let of = |m: &usize| &model.measurements[*m].noise_variance;

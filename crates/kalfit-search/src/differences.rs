@@ -20,7 +20,7 @@ const MAX_ATTEMPTS: usize = 5;
 pub(super) struct Differences<'s> {
     pub(super) objective: &'s ProfileLikelihood<'s>,
     pub(super) iterate: &'s ProfilePoint,
-    pub(super) touching: &'s JacobianSparsity,
+    pub(super) test_dependences: &'s JacobianSparsity,
     /// Whether differences are two-sided.
     pub(super) central: bool,
 }
@@ -72,13 +72,13 @@ impl Differences<'_> {
 
     /// The columns of a colour from the gradients on the two sides.
     fn between(&self, colour: &[usize], sides: &[FixedLawPoint; 2]) -> ColourColumns {
-        let Differences { objective, touching, .. } = *self;
+        let Differences { objective, test_dependences, .. } = *self;
         let width = widths(objective, colour, sides);
         let mut own = BTreeMap::new();
         let mut add = |s: usize, t: usize, value: f64| *own.entry((s, t)).or_insert(0.0) += value;
         let slope = |side: &FixedLawPoint, s: usize| objective.coordinates[s].slope(side.values[s]);
         for (j, by) in
-            objective.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| width.contains_key(s))))
+            objective.order().iter().map(|&j| (j, test_dependences.of_test[j].iter().find(|s| width.contains_key(s))))
         {
             let Some(&by) = by else { continue };
             for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
@@ -87,7 +87,7 @@ impl Differences<'_> {
                 }
             }
         }
-        for &by in colour.iter().filter(|&&s| touching.matrix[s] || touching.is_common(s)) {
+        for &by in colour.iter().filter(|&&s| test_dependences.matrix[s] || test_dependences.is_common(s)) {
             for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
                 for &(s, bar) in &side.matrix {
                     add(s, by, sign * bar * slope(side, s) / width[&by]);
@@ -105,7 +105,7 @@ impl Differences<'_> {
         }
         let state = &self.iterate.estimate.state;
         let mut row = DVector::zeros(sides[0].inner.len());
-        for &j in &self.touching.tests[s] {
+        for &j in &self.test_dependences.tests[s] {
             let [before, after] = sides.each_ref().map(|side| state.gradient_of(side.tests.reductions.get(j)));
             row += after - before;
         }

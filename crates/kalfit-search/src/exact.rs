@@ -26,22 +26,22 @@ pub fn add_exact(
     }
     let tests: Vec<PhasedTest> = numbers.iter().map(|&j| around.tests[j].clone()).collect();
     for slot in 0..values.len() {
-        let about = |places: &[f64]| moved(around, values, (&[slot], places), |reducer| reducer.reduce(&tests));
+        let results_at = |places: &[f64]| moved(around, values, (&[slot], places), |reducer| reducer.reduce(&tests));
         // most values do not affect exact rows
-        let (beside, _) = about(&[1.0])?;
-        let is_same = |(k, &j): (usize, &usize)| beside.iter().all(|there| there.exact(k) == reductions.exact(j));
+        let (one_step, _) = results_at(&[1.0])?;
+        let is_same = |(k, &j): (usize, &usize)| one_step.iter().all(|there| there.exact(k) == reductions.exact(j));
         if numbers.iter().enumerate().all(is_same) {
             continue;
         }
-        let (there, steps) = about(&WEIGHTS.map(|(sign, _)| sign))?;
-        let told = |(k, &j): (usize, &usize)| {
+        let (there, steps) = results_at(&WEIGHTS.map(|(sign, _)| sign))?;
+        let slopes = |(k, &j): (usize, &usize)| {
             let home = reductions.get(j);
             let at = |there: &Reductions| value(ReductionRef { exact: there.exact(k), ..home }, law);
             let sum: f64 = there.iter().zip(WEIGHTS).map(|(there, (_, weight))| weight * at(there)).sum();
             (j, sum / steps[&slot])
         };
-        let told: Vec<(usize, f64)> = numbers.par_iter().enumerate().map(told).collect();
-        told.into_iter().for_each(|(j, slope)| add(&mut scores[j], &vec![(slot, slope)]));
+        let slopes: Vec<(usize, f64)> = numbers.par_iter().enumerate().map(slopes).collect();
+        slopes.into_iter().for_each(|(j, slope)| add(&mut scores[j], &vec![(slot, slope)]));
     }
     Ok(())
 }

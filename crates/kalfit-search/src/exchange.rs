@@ -45,9 +45,9 @@ impl Exchange {
         let at = |site: Site| all.iter().find(|(other, _)| *other == site).map(|(_, expression)| *expression);
         let stays = |(site, expression): &(Site, &Expression)| {
             let other = match *site {
-                Site::Rate { state, from } => at(Site::Rate { state, from: place(&self.states, from) }),
+                Site::Rate { state, from } => at(Site::Rate { state, from: exchanged_state(&self.states, from) }),
                 Site::Coefficient { measurement, state } => {
-                    at(Site::Coefficient { measurement, state: place(&self.states, state) })
+                    at(Site::Coefficient { measurement, state: exchanged_state(&self.states, state) })
                 }
                 _ => Some(*expression),
             };
@@ -65,7 +65,7 @@ impl Exchange {
 }
 
 /// The state for which `state` is exchanged; `state` if there is none.
-fn place(states: &[(usize, usize)], state: usize) -> usize {
+fn exchanged_state(states: &[(usize, usize)], state: usize) -> usize {
     partner(states, state).unwrap_or(state)
 }
 
@@ -108,14 +108,14 @@ fn match_forms(
     let mut other: Vec<&(usize, Expression)> = b.terms.iter().collect();
     let mut own: Vec<&(usize, Expression)> = Vec::new();
     for term in &a.terms {
-        match other.iter().position(|(of, _)| *of == place(states, term.0)) {
+        match other.iter().position(|(of, _)| *of == exchanged_state(states, term.0)) {
             Some(at) => match_expressions(&term.1, &other.remove(at).1, pairs)?,
             None => own.push(term),
         }
     }
     match (&own[..], &other[..]) {
         ([], []) => {}
-        ([(s, x)], [(t, y)]) if place(states, *s) == *s && place(states, *t) == *t => {
+        ([(s, x)], [(t, y)]) if exchanged_state(states, *s) == *s && exchanged_state(states, *t) == *t => {
             states.push((*s, *t));
             match_expressions(x, y, pairs)?;
         }

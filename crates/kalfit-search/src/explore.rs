@@ -11,7 +11,8 @@ use crate::exchangeable::ordered;
 use crate::places::{deduplicated, places};
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::sample::{
-    ALIKE, CLOSE_LOSS, MAX_FOLLOWED, SubsampleProgress, larger, refined, rough_settings, sample, total,
+    CLOSE_LOSS, MAX_FOLLOWED, SAME_END_DIFFERENCE, SubsampleProgress, larger, refined, rough_settings, sample,
+    total_rows,
 };
 use crate::search::search;
 use crate::search_state::{MIN_RISE, SearchEnd, SearchStart, SearchState};
@@ -50,7 +51,7 @@ pub(super) fn explore(
     let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
     let part = if common { sample(objective.tests, common) } else { Vec::new() };
     let small = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
-    let is_long = common && objective.rows() > 0 && MIN_RATIO * total(&part) <= objective.rows();
+    let is_long = common && objective.rows() > 0 && MIN_RATIO * total_rows(&part) <= objective.rows();
     let explored = match best(ends) {
         Some(_) if is_long && is_possible(&small) => {
             explore_sample((objective, &hybrid, &small), ends, all_given, progress)
@@ -71,15 +72,15 @@ fn explore_sample(
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
     let Some(iterate) = best(ends).map(SearchEnd::restart) else { return Ok(Explored::No) };
-    let mut beside = SubsampleProgress { small, progress: &mut *progress };
+    let mut subsample_progress = SubsampleProgress { small, progress: &mut *progress };
     let Ok(start) = small.solve(&iterate, None) else { return Ok(Explored::No) };
-    let mut found = vec![SearchState::new(small, &mut beside, start).run()?];
+    let mut found = vec![SearchState::new(small, &mut subsample_progress, start).run()?];
     let known = ordered(&objective.twins, &found[0].restart());
-    let looked = explore_from_best((small, small), &mut found, (all_given, CLOSE_LOSS), &mut beside)?;
+    let looked = explore_from_best((small, small), &mut found, (all_given, CLOSE_LOSS), &mut subsample_progress)?;
     found.sort_by(|a, b| b.iterate.value().total_cmp(&a.iterate.value()));
     let highest = found[0].iterate.value();
     let near = found.iter().filter(|end| highest - end.iterate.value() <= CLOSE_LOSS).map(SearchEnd::restart);
-    let elsewhere = near.filter(|values| !alike(&ordered(&objective.twins, values), &known, ALIKE));
+    let elsewhere = near.filter(|values| !alike(&ordered(&objective.twins, values), &known, SAME_END_DIFFERENCE));
     let elsewhere: Vec<SearchStart> = elsewhere.take(MAX_FOLLOWED).map(SearchStart::from).collect();
     for start in away_from(&iterate, elsewhere, (objective, hybrid), progress) {
         let floor = best(ends).map(|best| best.iterate.value() + MIN_RISE);
@@ -189,7 +190,7 @@ fn explore_from_best(
             places.extend(start::from_data(objective, None, progress));
         }
         let mut floor = best.map(|best| best.iterate.value() + MIN_RISE);
-        let anew = floor.map(|floor| floor + SAME_MAXIMUM);
+        let new_maximum_floor = floor.map(|floor| floor + SAME_MAXIMUM);
         let mut higher = false;
         let places = interleaved(hybrid, untried(hybrid, &places, &tried), affordable_runs, progress);
         if progress.stops() {
@@ -201,12 +202,12 @@ fn explore_from_best(
             }
             tried.push(place.clone());
             let Ok(iterate) = hybrid.solve(&place, None) else { continue };
-            let within = floor.map(|floor| floor - slack);
-            let found = SearchState::new(hybrid, progress, iterate).with_best_known(within).run()?;
-            if !is_higher(&found, within) {
+            let lowest_value = floor.map(|floor| floor - slack);
+            let found = SearchState::new(hybrid, progress, iterate).with_best_known(lowest_value).run()?;
+            if !is_higher(&found, lowest_value) {
                 continue;
             }
-            higher = is_higher(&found, anew);
+            higher = is_higher(&found, new_maximum_floor);
             let (value, is_better) = (found.iterate.value(), is_higher(&found, floor));
             ends.push(if is_better { by_method(objective, found, progress)? } else { found });
             if higher {

@@ -104,13 +104,13 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
 /// a single row per test in addition to the variance of the measured state. With the level at zero, that variance would
 /// look known.
 fn raise_free_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
-    let is_unfelt = |s: usize| {
+    let is_undetermined = |s: usize| {
         let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
         best.is_at_zero(s) || (is_open && best.joint.curvature(s).abs() < MIN_INFORMATION)
     };
     let is_level = |s: usize| objective.coordinates[s].level.is_some();
     let zeros: Vec<usize> =
-        (0..best.standing.len()).filter(|&s| is_level(s) && is_unfelt(s)).take(MAX_RAISED).collect();
+        (0..best.standing.len()).filter(|&s| is_level(s) && is_undetermined(s)).take(MAX_RAISED).collect();
     if best.stop != Stop::Certified || zeros.is_empty() || progress.stops() {
         return best;
     }

@@ -71,17 +71,17 @@ fn eigenvalue_along(
     direction: &InformationDirection,
 ) -> Option<KnownEigenvalue> {
     if let Some(curvature) = curvature_by_gradients(objective, fit, direction) {
-        return Some(direction.with(curvature));
+        return Some(direction.known_eigenvalue(curvature));
     }
     let beside = fit.joint.other_variances(direction)?;
-    let Fall { length, least, mean, is_even, promised } = fall(objective, fit, direction)?;
+    let Fall { length, least, mean, is_even, expected_curvature } = fall(objective, fit, direction)?;
     let is_visible = |curvature: f64| 0.5 * curvature * length * length >= MIN_VISIBLE_CHANGE;
-    if least <= FLAT_PART * promised && least * beside[0] <= FLAT_PART && is_visible(beside[0].recip()) {
-        return Some(direction.with(0.0));
+    if least <= FLAT_PART * expected_curvature && least * beside[0] <= FLAT_PART && is_visible(beside[0].recip()) {
+        return Some(direction.known_eigenvalue(0.0));
     }
     let curvature = of_direction(mean, beside).filter(|_| is_even && is_visible(mean) && direction.is_of_alpha())?;
     let is_other = (curvature - direction.curvature).abs() > MIN_DEVIATION * direction.curvature.abs();
-    (direction.is_faint() || is_other).then(|| direction.with(curvature))
+    (direction.is_faint() || is_other).then(|| direction.known_eigenvalue(curvature))
 }
 
 /// The curvature along a direction, from gradients to both sides of a ridge; `None` unless the direction is along a
@@ -124,29 +124,29 @@ struct Fall {
     /// Whether ℓ falls by about as much to one side as to the other, as a parabola does.
     is_even: bool,
     /// Curvature from differences, or the least curvature that differences resolve, if larger.
-    promised: f64,
+    expected_curvature: f64,
 }
 
 /// Fall of ℓ along a direction; `None` where ℓ is not defined on both sides.
 fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &InformationDirection) -> Option<Fall> {
-    let home = fit.estimate.log_likelihood;
-    let promised = direction.curvature.abs().max(UNRESOLVED_CURVATURE * own_curvature(fit, direction));
-    let length = length(objective, fit, direction, promised, home);
+    let value_at_fit = fit.estimate.log_likelihood;
+    let expected_curvature = direction.curvature.abs().max(UNRESOLVED_CURVATURE * own_curvature(fit, direction));
+    let length = length(objective, fit, direction, expected_curvature, value_at_fit);
     let [one, other] = [length, -length].map(|length| {
         let values = objective.moved(&fit.sought, &direction.alpha, length);
-        let value = on_ridge(objective, fit, (&direction.alpha, values))?;
-        Some(2.0 * (home - value) / (length * length))
+        let value = value_on_ridge(objective, fit, (&direction.alpha, values))?;
+        Some(2.0 * (value_at_fit - value) / (length * length))
     });
     let (one, other) = (one?, other?);
     // a ridge may end on one side, where a variance reaches zero
     let least = one.abs().min(other.abs());
     let is_even = one > 0.0 && other > 0.0 && one.max(other) < MAX_FALL_RATIO * least;
-    Some(Fall { length, least, mean: 0.5 * (one + other), is_even, promised })
+    Some(Fall { length, least, mean: 0.5 * (one + other), is_even, expected_curvature })
 }
 
 /// ℓ at the top of a possible ridge along a direction, near given values: α moves on across the direction, because a
 /// ridge in several values is curved.
-fn on_ridge(
+fn value_on_ridge(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     (along, mut values): (&[f64], Vec<f64>),
@@ -174,7 +174,7 @@ fn length(
     fit: &DynamicFit,
     direction: &InformationDirection,
     curvature: f64,
-    home: f64,
+    value_at_fit: f64,
 ) -> f64 {
     let reach = |((part, coordinate), value): ((&f64, &Coordinate), &f64)| {
         let size = if coordinate.log { 1.0 } else { value.abs() };
@@ -182,6 +182,6 @@ fn length(
     };
     let moving = direction.alpha.iter().zip(&objective.coordinates).zip(&fit.sought).filter(|((d, _), _)| **d != 0.0);
     let short = moving.map(reach).fold(f64::INFINITY, f64::min);
-    let seen = (2.0 * FALL_IN_ROUNDINGS * ROUNDING * home.abs().max(1.0) / curvature).sqrt();
+    let seen = (2.0 * FALL_IN_ROUNDINGS * ROUNDING * value_at_fit.abs().max(1.0) / curvature).sqrt();
     short.max(seen).min(MAX_STANDARD_ERRORS / curvature.sqrt())
 }

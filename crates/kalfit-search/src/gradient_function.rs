@@ -57,7 +57,7 @@ impl SearchState<'_, '_> {
         let derivatives = self.objective.each(&shapes, |shape| at_zero.derivatives(&zeros, shape));
         let mut found: Vec<Derivative> = derivatives.into_iter().flatten().collect();
         for &s in &zeros {
-            found.extend(self.between(s, &found));
+            found.extend(self.derivatives_between(s, &found));
         }
         let best = |s: usize| found.iter().filter(|(_, level, _)| *level == s).max_by(|a, b| a.0.total_cmp(&b.0));
         let mut promising: Vec<Derivative> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
@@ -127,15 +127,15 @@ impl SearchState<'_, '_> {
             let scales = self.objective.scales();
             all.extend(
                 scales
-                    .range(SHORTEST_TIME, LONGEST_TIME, TIME_RATIO)
+                    .times_between(SHORTEST_TIME, LONGEST_TIME, TIME_RATIO)
                     .take(MAX_TIMES)
-                    .chain(scales.beyond(LONG_TIMES))
+                    .chain(scales.long_times(LONG_TIMES))
                     .map(at),
             );
         }
         let few: Vec<ChangedValues> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
         for t in others {
-            for value in self.objective.coordinates[t].spread(self.iterate.values[t]) {
+            for value in self.objective.coordinates[t].values_over_range(self.iterate.values[t]) {
                 all.extend(few.iter().map(|shape| {
                     let mut shape = shape.clone();
                     shape.push((t, value));
@@ -148,10 +148,10 @@ impl SearchState<'_, '_> {
 
     /// Derivatives of a level between the times that were tried, at the tops of parabolas through three of them, where
     /// the highest of the three is not positive, but a derivative between two times may be.
-    fn between(&self, s: usize, found: &[Derivative]) -> Vec<Derivative> {
-        let own: Vec<&Derivative> = found.iter().filter(|(_, level, _)| *level == s).collect();
+    fn derivatives_between(&self, s: usize, found: &[Derivative]) -> Vec<Derivative> {
+        let level_derivatives: Vec<&Derivative> = found.iter().filter(|(_, level, _)| *level == s).collect();
         let mut tops = Vec::new();
-        for around in own.windows(3) {
+        for around in level_derivatives.windows(3) {
             let [(before, _, shorter), (gain, _, shape), (after, _, longer)] = around else { continue };
             let is_top = gain >= before && gain >= after && *gain <= MIN_GAIN && (before < gain || after < gain);
             let [Some(short), Some(time), Some(long)] = [shorter, shape, longer].map(common_time) else {

@@ -78,7 +78,7 @@ pub(crate) struct InformationDirection {
     /// -∂²ℓ along the direction, from differences.
     pub(crate) curvature: f64,
     /// Index of the eigenvector of the information.
-    pub(crate) number: usize,
+    pub(crate) eigenvector_index: usize,
     /// Eigenvalue of the scaled information per unit of curvature along the direction.
     unit: f64,
 }
@@ -105,8 +105,12 @@ impl InformationDirection {
     }
 
     /// The eigenvalue for another curvature along the direction.
-    pub(crate) fn with(&self, curvature: f64) -> KnownEigenvalue {
-        KnownEigenvalue { number: self.number, value: self.eigenvalue_of(curvature), share: self.share }
+    pub(crate) fn known_eigenvalue(&self, curvature: f64) -> KnownEigenvalue {
+        KnownEigenvalue {
+            eigenvector_index: self.eigenvector_index,
+            value: self.eigenvalue_of(curvature),
+            share: self.share,
+        }
     }
 }
 
@@ -114,7 +118,7 @@ impl InformationDirection {
 /// direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownEigenvalue {
-    number: usize,
+    eigenvector_index: usize,
     value: f64,
     /// Largest component of the unit eigenvector in α.
     share: f64,
@@ -138,15 +142,17 @@ impl JointInformation {
                 return JointInformation::of_scale(exact, list, inner).without_flat(objective, iterate);
             }
         };
-        let touching = JacobianSparsity::of(objective, tests, n);
+        let test_dependences = JacobianSparsity::of(objective, tests, n);
         let alone = |s: usize| {
-            !objective.is_elsewhere()
+            !objective.is_remote()
                 && list.len() > DENSE_VALUES
-                && touching.tests[s].len() == 1
-                && !touching.matrix[s]
+                && test_dependences.tests[s].len() == 1
+                && !test_dependences.matrix[s]
         };
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
+        list.iter()
+            .filter(|&&s| alone(s))
+            .for_each(|&s| by_test.entry(test_dependences.tests[s][0]).or_default().push(s));
         let mut joint = JointInformation {
             shared: list.iter().copied().filter(|&s| !alone(s)).collect(),
             private: by_test.into_values().collect(),
@@ -155,8 +161,8 @@ impl JointInformation {
             cross: DMatrix::zeros(n, inner.nrows()),
             inner,
         };
-        let colours = touching.colours(&joint.active, objective.restricted());
-        let differences = Differences { objective, iterate, touching: &touching, central };
+        let colours = test_dependences.colours(&joint.active, objective.restricted());
+        let differences = Differences { objective, iterate, test_dependences: &test_dependences, central };
         for columns in objective.together(|| objective.each(&colours, |colour| differences.columns(colour))) {
             joint.own.extend(columns.own);
             columns.cross.into_iter().for_each(|(s, row)| joint.cross.set_row(s, &row));
@@ -240,9 +246,9 @@ impl JointInformation {
         let cross = DMatrix::from_fn(k, m, |i, c| self.cross[(self.shared[i], c)]);
         matrix.view_mut((0, k), (k, m)).copy_from(&cross);
         matrix.view_mut((k, 0), (m, k)).copy_from(&cross.transpose());
-        let mut right = DVector::zeros(k + m);
-        self.shared.iter().enumerate().for_each(|(i, &s)| right[i] = gradient[s]);
-        right.rows_mut(k, m).copy_from(inner);
+        let mut right_side = DVector::zeros(k + m);
+        self.shared.iter().enumerate().for_each(|(i, &s)| right_side[i] = gradient[s]);
+        right_side.rows_mut(k, m).copy_from(inner);
         let mut concave = true;
         for block in &self.private {
             let (inverse, positive) = positive_inverse(&self.block(block), damping);
@@ -251,9 +257,9 @@ impl JointInformation {
             let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
             let half = &inverse * &border;
             matrix -= border.transpose() * &half;
-            right -= half.transpose() * own;
+            right_side -= half.transpose() * own;
         }
-        (matrix, right, concave)
+        (matrix, right_side, concave)
     }
 
     /// The information with some noise levels, (slot, exponent), expressed in variances.
@@ -280,17 +286,17 @@ impl JointInformation {
         damping: f64,
         pinned: &[(usize, f64)],
     ) -> JointStep {
-        let (mut matrix, mut right, mut concave) = self.reduced(gradient, inner, damping);
+        let (mut matrix, mut right_side, mut concave) = self.reduced(gradient, inner, damping);
         for &(s, step) in pinned {
             let Some(at) = self.shared.iter().position(|&shared| shared == s) else { continue };
-            right -= matrix.column(at) * step;
+            right_side -= matrix.column(at) * step;
             matrix.row_mut(at).fill(0.0);
             matrix.column_mut(at).fill(0.0);
-            right[at] = 0.0;
+            right_side[at] = 0.0;
         }
         let (inverse, positive) = positive_inverse(&matrix, damping);
         concave &= positive;
-        let mut x = inverse * &right;
+        let mut x = inverse * &right_side;
         for &(s, step) in pinned {
             self.shared.iter().position(|&shared| shared == s).into_iter().for_each(|at| x[at] = step);
         }
@@ -366,7 +372,7 @@ impl JointInformation {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let part = |k: usize| -> f64 { weights.iter().enumerate().map(|(i, w)| w * scale[i] * vectors[(i, k)]).sum() };
         let mut variances = [0.0; 2];
-        for k in (0..values.len()).filter(|&k| k != but.number) {
+        for k in (0..values.len()).filter(|&k| k != but.eigenvector_index) {
             variances[usize::from(values[k].abs() < FAINT_EIGENVALUE)] +=
                 part(k).powi(2) / values[k].abs().max(FLAT_EIGENVALUE);
         }
@@ -428,7 +434,7 @@ impl JointInformation {
             let largest = of_alpha.clone().map(|i| (scale[i] * vectors[(i, k)]).abs()).fold(0.0, f64::max);
             let share = of_alpha.map(|i| vectors[(i, k)].abs()).fold(0.0, f64::max);
             let unit = largest * largest;
-            Some(InformationDirection { alpha, share, curvature: values[k] / unit, number: k, unit })
+            Some(InformationDirection { alpha, share, curvature: values[k] / unit, eigenvector_index: k, unit })
         };
         (0..values.len()).filter_map(along).collect()
     }
@@ -509,12 +515,12 @@ fn inverse(
 ) -> (DMatrix<f64>, Vec<bool>, Vec<DVector<f64>>) {
     let (scale, mut values, vectors) = scaled_eigen(matrix);
     let n = scale.len();
-    known.iter().for_each(|known| values[known.number] = known.value);
-    let is_known = |k: usize| known.iter().any(|known| known.number == k && known.value > 0.0);
+    known.iter().for_each(|known| values[known.eigenvector_index] = known.value);
+    let is_known = |k: usize| known.iter().any(|known| known.eigenvector_index == k && known.value > 0.0);
     let is_flat = |k: usize| values[k] <= FLAT_EIGENVALUE && !is_known(k);
     let mut flat: Vec<bool> = scale.iter().map(|s| *s == 0.0).collect();
     let takes_part = |i: usize, k: usize| {
-        let own = known.iter().find(|known| known.number == k && i < of_alpha);
+        let own = known.iter().find(|known| known.eigenvector_index == k && i < of_alpha);
         vectors[(i, k)].abs() > MIN_COMPONENT * own.map_or(1.0, |known| known.share)
     };
     for k in (0..n).filter(|&k| is_flat(k)) {
@@ -525,7 +531,7 @@ fn inverse(
     let part = |i: usize, k: usize| if takes_part(i, k) { vectors[(i, k)] } else { 0.0 };
     let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * part(i, k));
     let whole = DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
-    let known_flat = known.iter().filter(|known| known.value == 0.0).map(|known| known.number);
+    let known_flat = known.iter().filter(|known| known.value == 0.0).map(|known| known.eigenvector_index);
     (whole, flat, known_flat.map(|k| along(&k)).collect())
 }
 
@@ -546,9 +552,11 @@ fn inner_information(tangent: &Tangent) -> DMatrix<f64> {
     let own = |i: usize| of(i).0 * tangent.sizes[i].powi(2);
     let largest = (0..n).map(own).fold(0.0, f64::max);
     let of_sigma = tangent.mean..n;
-    let left = of_sigma.clone().map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
+    let largest_remaining_score = of_sigma.clone().map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
     let is_bend = |i: usize| {
-        of_sigma.contains(&i) && own(i) <= MAX_SCORE_CURVATURE * left && of(i).1 <= MAX_REMAINING_SCORE * of(i).0.sqrt()
+        of_sigma.contains(&i)
+            && own(i) <= MAX_SCORE_CURVATURE * largest_remaining_score
+            && of(i).1 <= MAX_REMAINING_SCORE * of(i).0.sqrt()
     };
     // a mean that does not vary between tests has no size to compare with much larger variances
     let largest_mean = (0..tangent.mean).map(|i| of(i).0).fold(0.0, f64::max);

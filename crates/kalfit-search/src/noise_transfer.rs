@@ -77,37 +77,37 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
         let mut values = self.objective.values(sought);
         let (t, exponent) = self.process;
         let variance = values[t].powf(exponent);
-        let noises = self.matrix(&values) + &self.loadings * self.loadings.transpose() * variance;
+        let noises = self.covariance_of_noises(&values) + &self.loadings * self.loadings.transpose() * variance;
         values[t] = 0.0;
-        self.with(values, &noises)
+        self.from_covariance(values, &noises)
     }
 
     /// The sought values with as much of the noises as possible given to the process; `None` where that is nothing.
     pub(super) fn taken(&self, sought: &[f64]) -> Option<Vec<f64>> {
         let mut values = self.objective.values(sought);
-        let noises = self.matrix(&values);
+        let noises = self.covariance_of_noises(&values);
         let information = self.loadings.dot(&noises.clone().cholesky()?.solve(&self.loadings));
         let variance =
             Some((1.0 - UNTAKEN_PART) / information).filter(|variance| variance.is_finite() && *variance > 0.0)?;
         let (t, exponent) = self.process;
         let taker = self.objective.coordinates[t];
         values[t] = variance.powf(exponent.recip()).clamp(taker.lower, taker.upper);
-        let left = noises - &self.loadings * self.loadings.transpose() * values[t].powf(exponent);
-        Some(self.with(values, &left))
+        let remaining_noise = noises - &self.loadings * self.loadings.transpose() * values[t].powf(exponent);
+        Some(self.from_covariance(values, &remaining_noise))
     }
 
     /// The covariance R of the noises.
-    fn matrix(&self, values: &[f64]) -> DMatrix<f64> {
+    fn covariance_of_noises(&self, values: &[f64]) -> DMatrix<f64> {
         let variances = self.levels.iter().map(|&(level, exponent)| values[level].powf(exponent));
-        let mut matrix = DMatrix::from_diagonal(&DVector::from_iterator(self.levels.len(), variances));
+        let mut covariance_of_noises = DMatrix::from_diagonal(&DVector::from_iterator(self.levels.len(), variances));
         for &(i, j, slot) in &self.covariances {
-            (matrix[(i, j)], matrix[(j, i)]) = (values[slot], values[slot]);
+            (covariance_of_noises[(i, j)], covariance_of_noises[(j, i)]) = (values[slot], values[slot]);
         }
-        matrix
+        covariance_of_noises
     }
 
     /// The sought values for a given covariance R of the noises.
-    fn with(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
+    fn from_covariance(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
         for (m, &(level, exponent)) in self.levels.iter().enumerate().filter(|(m, _)| self.loadings[*m] != 0.0) {
             let coordinate = self.objective.coordinates[level];
             values[level] = noises[(m, m)].max(0.0).powf(exponent.recip()).clamp(coordinate.lower, coordinate.upper);
@@ -222,9 +222,11 @@ mod tests {
             [&white, &given, &taken].map(|place| objective.solve(place, None).expect("defined").value());
         assert!((between - before).abs() < 1e-8 && (after - before).abs() < 1e-8, "{before} {between} {after}");
         // the remaining noises have hardly any variance in the direction of the process
-        let (left, h) = (noises.matrix(&objective.values(&taken)), &noises.loadings);
-        let full = h.dot(&(noises.matrix(&found).try_inverse().expect("regular") * h));
-        assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - UNTAKEN_PART).abs() < 1e-6);
+        let (remaining_noise, h) = (noises.covariance_of_noises(&objective.values(&taken)), &noises.loadings);
+        let full = h.dot(&(noises.covariance_of_noises(&found).try_inverse().expect("regular") * h));
+        assert!(
+            (full * h.dot(&(remaining_noise.try_inverse().expect("regular") * h)).recip() - UNTAKEN_PART).abs() < 1e-6
+        );
     }
 
     fn is_crossed(model: &PhasedModel) -> bool {

@@ -7,7 +7,7 @@ use crate::profile_likelihood::ProfileLikelihood;
 use crate::scales;
 use crate::scales::time_constants;
 use crate::search_state::SearchEnd;
-use crate::tries::{TRIAL_FACTOR, best_of, longer, other_maxima};
+use crate::tries::{TRIAL_FACTOR, best_of, lengthened_time, other_maxima};
 use kalfit_estimate::Progress;
 
 /// Values tried for a covariance of noises, relative to the bound of the covariance.
@@ -65,7 +65,7 @@ pub(super) fn places(
     all.extend(held.and_then(|t| held_level_as_measurement_noise(objective, end, (t, &timed), progress)));
     all.extend(process_to_noise(objective, values, (&levels, &nearly_white), &exchanges));
     for &s in &levels {
-        all.extend(sizes(objective, end, (s, objective.units()[s])));
+        all.extend(other_sizes(objective, end, (s, objective.units()[s])));
     }
     for parameter in timed {
         all.extend(other_maxima(objective, parameter, values, progress));
@@ -140,9 +140,9 @@ fn separated_pair(
 /// Candidates where the variance of a process becomes noise of a measurement whose noise level is at zero: the process
 /// may have replaced that noise, and may return in another shape.
 fn returned_to_noise(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
-    let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
+    let (driving, measurement_levels): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
     let values = &end.iterate.values;
-    let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
+    let zeros = measurement_levels.into_iter().filter(|&s| end.is_at_zero(s));
     let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
     pairs.filter_map(|pair| transferred(objective, values, pair)).collect()
 }
@@ -157,12 +157,14 @@ fn held_level_as_measurement_noise(
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
     let parameter = timed.iter().find(|&&parameter| driven_level(objective, parameter) == Some((t, true)))?;
-    let from = objective.coordinates[t].level?;
+    let source_exponent = objective.coordinates[t].level?;
     let mut beside = end.iterate.values.clone();
     let measures = |s: usize| scales::measures(objective.model, objective.slots.slots()[s].parameter);
     for s in (0..beside.len()).filter(|&s| end.is_at_zero(s) && measures(s)) {
-        let Some(to) = objective.coordinates[s].level else { continue };
-        beside[s] = beside[t].powf(from / to).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
+        let Some(target_exponent) = objective.coordinates[s].level else { continue };
+        beside[s] = beside[t]
+            .powf(source_exponent / target_exponent)
+            .clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
     }
     let is_other = beside != end.iterate.values;
     is_other.then(|| best_of(objective, *parameter, &beside, progress))?.map(|(beside, _)| beside)
@@ -177,12 +179,13 @@ fn process_to_noise(
     (levels, white): (&[usize], &[usize]),
     exchanges: &[ExchangeablePair],
 ) -> Vec<Vec<f64>> {
-    let still: Vec<usize> = levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(objective, s)).collect();
+    let measurement_levels: Vec<usize> =
+        levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(objective, s)).collect();
     let sized =
         white.iter().filter_map(|&parameter| driven_level(objective, parameter).filter(|(_, is_size)| *is_size));
     let sized: Vec<usize> = sized.map(|(t, _)| t).filter(|t| levels.contains(t) && values[*t] > 0.0).collect();
     let mut all = Vec::new();
-    for (&s, &t) in still.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
+    for (&s, &t) in measurement_levels.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
         all.extend(transferred(objective, values, (s, t)));
         let other = |pair: &ExchangeablePair| {
             pair.pairs.iter().find_map(|&(a, b)| if a == t { Some(b) } else { (b == t).then_some(a) })
@@ -206,9 +209,11 @@ fn transferred(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize
         return Some(noises.given(values));
     }
     let (taker, giver) = (objective.coordinates[s], objective.coordinates[t]);
-    let (from, to) = (giver.level?, taker.level?);
+    let (source_exponent, target_exponent) = (giver.level?, taker.level?);
     let mut given = values.to_vec();
-    given[s] = (values[s].powf(to) + values[t].powf(from)).powf(to.recip()).clamp(taker.lower, taker.upper);
+    given[s] = (values[s].powf(target_exponent) + values[t].powf(source_exponent))
+        .powf(target_exponent.recip())
+        .clamp(taker.lower, taker.upper);
     given[t] = 0.0;
     Some(given)
 }
@@ -231,7 +236,7 @@ fn lengthened_process(
 ) -> Option<Vec<f64>> {
     let (best, value) = best_of(objective, time_constant, &end.iterate.values, progress)?;
     let is_level = (value - end.iterate.value()).abs() <= EQUAL_VALUE;
-    is_level.then(|| longer(objective, time_constant, (best, value), progress))
+    is_level.then(|| lengthened_time(objective, time_constant, (best, value), progress))
 }
 
 /// Candidates with all time constants four times as long, or a quarter as long, and each process as rough as before:
@@ -239,7 +244,7 @@ fn lengthened_process(
 fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
     let open = |&parameter: &usize| objective.slots.common(parameter).is_some();
     let parameters: Vec<usize> = time_constants(objective.model).into_iter().filter(open).collect();
-    let by = |step: f64| {
+    let scaled_by = |step: f64| {
         let mut moved = values.to_vec();
         for &parameter in &parameters {
             let Some(time) = objective.slots.common(parameter) else { continue };
@@ -251,7 +256,7 @@ fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f6
         }
         moved
     };
-    if parameters.is_empty() { Vec::new() } else { [TRIAL_FACTOR.ln(), -TRIAL_FACTOR.ln()].map(by).to_vec() }
+    if parameters.is_empty() { Vec::new() } else { [TRIAL_FACTOR.ln(), -TRIAL_FACTOR.ln()].map(scaled_by).to_vec() }
 }
 
 /// Slot of the noise level of the process with a given time constant, and whether the level is the size of the process:
@@ -286,14 +291,16 @@ fn noise_to_process(
     let best = best_of(objective, time_constant, &over, progress)?;
     // ℓ is unchanged: the process is as white as the noise was, and ℓ may rise at a somewhat longer time constant
     let is_level = (best.1 - height).abs() <= EQUAL_VALUE;
-    Some(if is_level { longer(objective, time_constant, best, progress) } else { best.0 })
+    Some(if is_level { lengthened_time(objective, time_constant, best, progress) } else { best.0 })
 }
 
 /// The values with level `s` at zero and level `t` at the variance that `s` had.
 fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
-    let (from, to) = (objective.coordinates[s].level?, objective.coordinates[t].level?);
+    let (source_exponent, target_exponent) = (objective.coordinates[s].level?, objective.coordinates[t].level?);
     let mut replaced = values.to_vec();
-    replaced[t] = values[s].powf(from / to).clamp(objective.coordinates[t].lower, objective.coordinates[t].upper);
+    replaced[t] = values[s]
+        .powf(source_exponent / target_exponent)
+        .clamp(objective.coordinates[t].lower, objective.coordinates[t].upper);
     replaced[s] = 0.0;
     Some(replaced)
 }
@@ -319,7 +326,7 @@ fn drives(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
 }
 
 /// Candidates with a level at zero set to another size: the sizes at which ℓ is higher than at the neighbouring sizes.
-fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
+fn other_sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
     let value = end.iterate.values[s];
     if value > 0.0 && !end.is_at_zero(s) {
         return Vec::new();

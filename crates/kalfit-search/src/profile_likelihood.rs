@@ -98,7 +98,7 @@ pub struct ProfilePoint {
 #[derive(Debug, Clone)]
 pub(crate) enum SecondDerivatives {
     /// Results of each test, for differences.
-    Tests(Box<OfTests>),
+    Tests(Box<TestResults>),
     /// Exact information on the only value, which scales all noise, and between that value and (μ, Σ) along the tangent
     /// basis. Results of each test are computed on request.
     Scale(NoiseInformation),
@@ -106,7 +106,7 @@ pub(crate) enum SecondDerivatives {
 
 /// Reductions and scores of each test at an α.
 #[derive(Debug, Clone)]
-pub(crate) struct OfTests {
+pub(crate) struct TestResults {
     pub(crate) reductions: Reductions,
     /// dℓ_j/dvalue.
     pub(crate) scores: Vec<Gradient>,
@@ -125,7 +125,7 @@ pub(crate) struct FixedLawPoint {
     pub(crate) values: Vec<f64>,
     /// Gradient along the tangent basis of (μ, Σ) of the solved point.
     pub(crate) inner: DVector<f64>,
-    pub(crate) tests: OfTests,
+    pub(crate) tests: TestResults,
     /// dℓ/dvalue through matrices of the covariance structure.
     pub(crate) matrix: Gradient,
 }
@@ -202,7 +202,7 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// Whether the tests are remote: only results of all of them together are known.
-    pub(crate) fn is_elsewhere(&self) -> bool {
+    pub(crate) fn is_remote(&self) -> bool {
         self.answers.is_some()
     }
 
@@ -225,7 +225,7 @@ impl<'a> ProfileLikelihood<'a> {
         let (threads, rows) = (rayon::current_num_threads(), self.rows());
         let is_small = self.tests.len() <= NARROW_TESTS || rows.max(self.tests.len()) <= NARROW_ROWS;
         // each run of the filters serves later values of a scale, so these are evaluated one after the other
-        !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= MAX_ROWS_IN_WORK
+        !self.is_remote() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= MAX_ROWS_IN_WORK
     }
 
     /// The result of `one` at each point; threads work at several points at once where tests or rows are few.
@@ -346,7 +346,9 @@ impl<'a> ProfileLikelihood<'a> {
     /// ℓ(α) and its gradient; `near` is a population near the best one.
     pub fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<ProfilePoint, DynamicError> {
         let alpha = self.alpha(values);
-        if let Some(AtScale { estimate, gradient, information }) = self.scaled(values, &alpha, near, scale::EXACT)? {
+        if let Some(AtScale { estimate, gradient, information }) =
+            self.scaled(values, &alpha, near, scale::MAX_EXACT_RATIO)?
+        {
             let (gradient, told) = (vec![gradient], SecondDerivatives::Scale(information));
             return Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told });
         }
@@ -367,7 +369,7 @@ impl<'a> ProfileLikelihood<'a> {
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
-        let told = SecondDerivatives::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
+        let told = SecondDerivatives::Tests(Box::new(TestResults { reductions: reduced.reductions, scores }));
         Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told })
     }
 
@@ -399,19 +401,19 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// Reductions and scores of each test at a solved α.
-    pub(crate) fn of_tests<'s>(&self, iterate: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
+    pub(crate) fn of_tests<'s>(&self, iterate: &'s ProfilePoint) -> Result<Cow<'s, TestResults>, DynamicError> {
         if let SecondDerivatives::Tests(tests) = &iterate.second_derivatives {
             return Ok(Cow::Borrowed(&**tests));
         }
         let reduced = self.reduce(&iterate.values)?;
         let scores = self.scores(&iterate.values, &reduced, &iterate.estimate.state.law())?;
-        Ok(Cow::Owned(OfTests { reductions: reduced.reductions, scores }))
+        Ok(Cow::Owned(TestResults { reductions: reduced.reductions, scores }))
     }
 
     /// ℓ(α) alone; `None` where it is not defined.
     pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
         let alpha = self.alpha(values);
-        let estimate = match self.scaled(values, &alpha, None, scale::ROUGH).ok()? {
+        let estimate = match self.scaled(values, &alpha, None, scale::MAX_ROUGH_RATIO).ok()? {
             Some(at) => at.estimate,
             None => self.inner(&self.reduce(values).ok()?.reductions, &alpha, None).ok()?,
         };
@@ -460,7 +462,7 @@ impl<'a> ProfileLikelihood<'a> {
         let scores = self.scores(values, &reduced, &at.law()).ok()?;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
         let inner = at.gradient(&iterate.estimate.state);
-        let tests = OfTests { reductions: reduced.reductions, scores };
+        let tests = TestResults { reductions: reduced.reductions, scores };
         Some(FixedLawPoint { values: values.to_vec(), inner, tests, matrix })
     }
 

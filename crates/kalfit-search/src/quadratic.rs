@@ -179,7 +179,7 @@ impl<'b> Quadratic<'b> {
     }
 
     /// The size of a gradient, in standard errors; `None` where ℓ does not curve downward.
-    pub(super) fn size(&self, gradient: &DVector<f64>) -> Option<f64> {
+    pub(super) fn decrement_of(&self, gradient: &DVector<f64>) -> Option<f64> {
         root(solved(&self.information, gradient)?.dot(gradient))
     }
 
@@ -304,7 +304,7 @@ mod tests {
         let (before, after) = (Iterate { values: &from, gradient: &slope }, Iterate { values: &to, gradient: &other });
         for scale in [LevelScale::Variance, LevelScale::Logarithm] {
             let quadratic = about(&coordinates, from, scale);
-            assert_eq!(quadratic.size(&quadratic.prediction_error(before, after)), None, "{scale:?}");
+            assert_eq!(quadratic.decrement_of(&quadratic.prediction_error(before, after)), None, "{scale:?}");
         }
     }
 }

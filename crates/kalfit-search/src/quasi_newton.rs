@@ -99,15 +99,17 @@ impl<'b> SearchState<'b, '_> {
         if self.objective.settings.method != Method::Hybrid {
             return self.level_scale; // the gradient is not at the best (μ, Σ)
         }
-        let by = |scale| {
+        let quadratic_in = |scale| {
             let curvature = ProfileInformation::of(&self.objective.coordinates, scale, (joint, &self.iterate))?;
             Some(Quadratic::about(&self.objective.coordinates, curvature, &self.iterate.values))
         };
-        let (Some(logarithm), Some(variance)) = (by(LevelScale::Logarithm), by(LevelScale::Variance)) else {
+        let (Some(logarithm), Some(variance)) =
+            (quadratic_in(LevelScale::Logarithm), quadratic_in(LevelScale::Variance))
+        else {
             return self.level_scale;
         };
         let missed = |quadratic: &Quadratic<'_>| {
-            logarithm.size(&quadratic.prediction_error((&self.iterate).into(), next.into()))
+            logarithm.decrement_of(&quadratic.prediction_error((&self.iterate).into(), next.into()))
         };
         match (missed(&logarithm), missed(&variance)) {
             (Some(one), Some(other)) if other < one => LevelScale::Variance,

@@ -62,12 +62,12 @@ impl Ridge {
                 return None;
             }
             if (MAX_CURVATURE_RATIO.recip()..=MAX_CURVATURE_RATIO).contains(&(ridge.curvature / curvature)) {
-                let is_told = ridge.tells(&up, length, start.value) && ridge.tells(&down, -length, start.value);
+                let agrees = ridge.tells(&up, length, start.value) && ridge.tells(&down, -length, start.value);
                 let bends: Vec<f64> =
                     down.gradient.iter().zip(&up.gradient).map(|(d, u)| (d - u) / (2.0 * length)).collect();
-                let aside = start.joint.curvature_lost(along, &bends)?;
-                let on_top = Ridge { curvature: ridge.curvature - aside, ..ridge };
-                return (is_told && aside < MAX_ASIDE_PART * ridge.curvature).then_some(on_top);
+                let loss_at_top = start.joint.curvature_lost(along, &bends)?;
+                let on_top = Ridge { curvature: ridge.curvature - loss_at_top, ..ridge };
+                return (agrees && loss_at_top < MAX_ASIDE_PART * ridge.curvature).then_some(on_top);
             }
             curvature = ridge.curvature;
         }
@@ -75,9 +75,9 @@ impl Ridge {
     }
 
     /// Whether ℓ falls to a side by as much as the gradients predict.
-    fn tells(&self, side: &RidgeSide, length: f64, home: f64) -> bool {
+    fn tells(&self, side: &RidgeSide, length: f64, start_value: f64) -> bool {
         let bent = 0.5 * self.curvature * length * length;
-        (home - side.value - (bent - self.slope * length)).abs() <= MAX_DISAGREEMENT * bent
+        (start_value - side.value - (bent - self.slope * length)).abs() <= MAX_DISAGREEMENT * bent
     }
 
     /// Length of the step to the top of the ridge.

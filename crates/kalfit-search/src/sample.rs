@@ -15,7 +15,7 @@ pub(super) const CLOSE_LOSS: f64 = 5.0;
 /// Maximal number of such ends that are followed.
 pub(super) const MAX_FOLLOWED: usize = 3;
 /// Relative difference of values up to which two ends are the same.
-pub(super) const ALIKE: f64 = 2e-2;
+pub(super) const SAME_END_DIFFERENCE: f64 = 2e-2;
 /// Largest loss of ℓ, on a part of the data, from a maximum to a start that counts as one of the same maximum.
 const SAME_MAXIMUM: f64 = 10.0;
 /// Ratio of the sizes of successive larger parts.
@@ -41,11 +41,11 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
 /// Parts of the data between the sample and all of it, each larger than the one before, where the sample cuts records
 /// short: slow processes show in whole ones. Short tests need no larger part, because the sample has enough of them.
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
-    let all = if tests.iter().any(|test| test.row_count() > ROWS_OF_A_TEST) { total(tests) } else { 0 };
+    let all = if tests.iter().any(|test| test.row_count() > ROWS_OF_A_TEST) { total_rows(tests) } else { 0 };
     let least = MIN_RATIO * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
     let sizes = std::iter::successors(Some(GROWTH), |size| Some(GROWTH * size));
     let sizes = sizes.take_while(move |size| least * size <= all); // before anything is copied
-    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| MIN_RATIO * total(part) <= all)
+    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| MIN_RATIO * total_rows(part) <= all)
 }
 
 /// Settings of a search on a part of the data, with a tolerance of [`ROUGH_TOLERANCE`] or more: the exact end does not
@@ -102,7 +102,7 @@ pub(super) fn promising(
     let most = kept.len() + MAX_FOLLOWED;
     for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE_LOSS) {
         let place = ordered(&small.twins, &start.values);
-        if kept.len() < most && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
+        if kept.len() < most && !seen.iter().any(|other| alike(other, &place, SAME_END_DIFFERENCE)) {
             kept.push(start);
             seen.push(place);
         }
@@ -128,7 +128,7 @@ pub(super) fn refined(
         }
         let (start, value, places) = part.refined(objective, start);
         let is_far = value.zip(part.best_known).is_some_and(|(value, best_known)| value < best_known);
-        if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &places[0], ALIKE))) {
+        if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &places[0], SAME_END_DIFFERENCE))) {
             kept.push(start);
             seen.extend(places);
         }
@@ -150,9 +150,9 @@ struct Subsample<'a, 'b> {
 impl Subsample<'_, '_> {
     /// ℓ at the end of a search on the part, and that end as a start.
     fn end(&mut self, start: SearchStart) -> Option<(f64, SearchStart)> {
-        let mut beside = SubsampleProgress { small: self.small, progress: &mut *self.progress };
+        let mut subsample_progress = SubsampleProgress { small: self.small, progress: &mut *self.progress };
         let start = SearchStart { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
-        let end = search(self.small, start, self.best_known, &mut beside).ok()?;
+        let end = search(self.small, start, self.best_known, &mut subsample_progress).ok()?;
         let curvature = ProfileInformation::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.iterate))
             .map(|curvature| curvature.times(self.more));
         Some((end.iterate.value(), SearchStart { values: end.restart(), curvature }))
@@ -198,7 +198,7 @@ impl Progress for SubsampleProgress<'_, '_> {
     }
 }
 
-pub(super) fn total(tests: &[PhasedTest]) -> usize {
+pub(super) fn total_rows(tests: &[PhasedTest]) -> usize {
     tests.iter().map(PhasedTest::row_count).sum()
 }
 
@@ -216,11 +216,11 @@ mod tests {
     #[test]
     fn larger_parts_grow_and_are_much_shorter_than_all() {
         let long: Vec<PhasedTest> = (0..24).map(|id| record(id, 160_000)).collect();
-        let sizes = |tests: &[PhasedTest]| larger(tests, true).map(|part| total(&part)).collect::<Vec<_>>();
+        let sizes = |tests: &[PhasedTest]| larger(tests, true).map(|part| total_rows(&part)).collect::<Vec<_>>();
         assert_eq!(sizes(&long), [6 * 160_000], "800 000 rows are enough: a quarter of all");
         assert!(sizes(&long[..23]).is_empty(), "no part of a fifth");
         let short: Vec<PhasedTest> = (0..256).map(|id| record(id, 15_000)).collect();
         assert!(sizes(&short).is_empty(), "whole tests are in the sample");
-        assert_eq!(total(&sample(&long, true)), 6 * 20_000);
+        assert_eq!(total_rows(&sample(&long, true)), 6 * 20_000);
     }
 }

@@ -25,9 +25,9 @@ use kalfit_model::{PhasedModel, Population, Slots};
 
 /// Ratio λ of variances, up or down, beyond which the filters run again where no digit may be lost: at large λ
 /// constants are small differences of large numbers, at small λ the rounding errors of sums of squares are magnified.
-pub(crate) const EXACT: f64 = 1e4;
+pub(crate) const MAX_EXACT_RATIO: f64 = 1e4;
 /// Ratio λ beyond which the filters run again where ℓ is only compared with values of ℓ far away.
-pub(crate) const ROUGH: f64 = 1e8;
+pub(crate) const MAX_ROUGH_RATIO: f64 = 1e8;
 
 /// The only free value, which scales all noise.
 #[derive(Debug)]
@@ -66,8 +66,8 @@ impl Scale {
     pub fn of(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots) -> Option<Scale> {
         let ([slot], [phase]) = (slots.slots(), &model.phases[..]) else { return None };
         let rows = |test: &PhasedTest| matches!(test.phases[..], [Evidence::Rows(_)]);
-        let more = slot.level.is_some() || phase.filter.is_some() || !matrices::slots(model, slots).is_empty();
-        if more || !tests.iter().all(rows) {
+        let is_unsuitable = slot.level.is_some() || phase.filter.is_some() || !matrices::slots(model, slots).is_empty();
+        if is_unsuitable || !tests.iter().all(rows) {
             return None;
         }
         let power = phase.model.noise_power(slot.parameter)?;
@@ -114,13 +114,13 @@ impl Scale {
 
     /// The reductions at θ; `None` where the reductions at θ_0 cannot be scaled.
     pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
-        let Some((reference, variance)) = self.reference(value, EXACT, run)? else { return Ok(None) };
+        let Some((reference, variance)) = self.reference(value, MAX_EXACT_RATIO, run)? else { return Ok(None) };
         Ok(scaled(reference.reductions.clone(), variance))
     }
 
     /// The reductions at θ at the end of a search, scaled from the stored reductions at θ_0, which are given up.
     pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
-        let Some((reference, variance)) = self.reference(value, EXACT, run)? else { return Ok(None) };
+        let Some((reference, variance)) = self.reference(value, MAX_EXACT_RATIO, run)? else { return Ok(None) };
         *self.reference.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let reductions = Arc::try_unwrap(reference)
             .map_or_else(|reference| reference.reductions.clone(), |reference| reference.reductions);
@@ -154,7 +154,7 @@ impl Scale {
         all.iter().all(|score| score[0].1.is_finite()).then_some(all)
     }
 
-    /// The best (μ, Σ) at θ, with slope and information in the coordinate of θ; `far`: [`EXACT`] or [`ROUGH`]. `None`
+    /// The best (μ, Σ) at θ, with slope and information in the coordinate of θ; `far`: [`MAX_EXACT_RATIO`] or [`MAX_ROUGH_RATIO`]. `None`
     /// where the reductions at θ cannot be scaled.
     pub(crate) fn fit(
         &self,

@@ -15,7 +15,7 @@ const MIN_TESTS: usize = 256;
 /// Relative accuracy of measured values and of what is computed from them.
 const ROUNDING: f64 = 1e-12;
 /// Least relative rounding ε that is returned: 1/ε² is still finite.
-const SMALLEST: f64 = 1e-60;
+const MIN_RELATIVE_ROUNDING: f64 = 1e-60;
 
 /// Sizes of noise and lengths of time in the data.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ impl Scales {
     pub(crate) fn of(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> Scales {
         let noise_of = |at: usize| -> Vec<f64> {
             let (columns, rows) = (model.phases[at].model.measurements.iter(), phase_rows(tests, order, at));
-            columns.map(|m| differences(&rows, m.column)).collect()
+            columns.map(|m| difference_size(&rows, m.column)).collect()
         };
         let noise = (0..model.phases.len()).map(noise_of).collect();
         let (mut steps, mut spans) = (Vec::new(), Vec::new());
@@ -51,13 +51,13 @@ impl Scales {
 
     /// Times from `part` × the median length of a step to `spans` × the median length of a phase of a test, each
     /// `factor` × the time before.
-    pub(crate) fn range(&self, part: f64, spans: f64, factor: f64) -> impl Iterator<Item = f64> + use<> {
+    pub(crate) fn times_between(&self, part: f64, spans: f64, factor: f64) -> impl Iterator<Item = f64> + use<> {
         let (first, last) = (part * self.step, spans * self.span.max(self.step));
         (0..).map(move |k| first * factor.powi(k)).take_while(move |time| *time <= last)
     }
 
     /// `spans` × the median length of a phase of a test: times far longer than a record.
-    pub(crate) fn beyond<const N: usize>(&self, spans: [f64; N]) -> [f64; N] {
+    pub(crate) fn long_times<const N: usize>(&self, spans: [f64; N]) -> [f64; N] {
         spans.map(|spans| spans * self.span.max(self.step))
     }
 
@@ -88,10 +88,10 @@ impl Scales {
 pub(super) fn relative_rounding(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> f64 {
     let of_phase = |at: usize| {
         let rows = phase_rows(tests, order, at);
-        let of = |column: usize| ROUNDING * size(&rows, column) / differences(&rows, column);
+        let of = |column: usize| ROUNDING * size(&rows, column) / difference_size(&rows, column);
         model.phases[at].model.measurements.iter().map(|m| of(m.column)).fold(0.0, f64::max)
     };
-    (0..model.phases.len()).map(of_phase).fold(SMALLEST, f64::max)
+    (0..model.phases.len()).map(of_phase).fold(MIN_RELATIVE_ROUNDING, f64::max)
 }
 
 /// The expressions of the models of all phases.
@@ -127,7 +127,7 @@ fn is_square(variance: &Expression) -> bool {
 
 /// Root mean square of the differences of successive values within tests, over √2; where all differences are zero, the
 /// standard deviation of all values; 1 where that is zero, too.
-fn differences(tests: &[&Test], column: usize) -> f64 {
+fn difference_size(tests: &[&Test], column: usize) -> f64 {
     let of_test = |test: &&Test| {
         let (mut sum, mut count, mut last) = (0.0, 0.0, f64::NAN);
         for row in 0..test.rows().min(ROWS_OF_A_TEST) {
@@ -144,12 +144,12 @@ fn differences(tests: &[&Test], column: usize) -> f64 {
     };
     let parts: Vec<(f64, f64)> = tests.par_iter().with_min_len(MIN_TESTS).map(of_test).collect();
     let (sum, count) = parts.iter().fold((0.0, 0.0), |(sum, n), (part, more)| (sum + part, n + more));
-    let size: f64 = if sum > 0.0 { f64::sqrt(sum / count) } else { spread(tests, column) };
+    let size: f64 = if sum > 0.0 { f64::sqrt(sum / count) } else { standard_deviation(tests, column) };
     if size > 0.0 && size.is_finite() { size } else { 1.0 }
 }
 
 /// Standard deviation of the values of a column over all tests.
-fn spread(tests: &[&Test], column: usize) -> f64 {
+fn standard_deviation(tests: &[&Test], column: usize) -> f64 {
     let rows = tests.iter().flat_map(|test| (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[column]));
     let values: Vec<f64> = rows.filter(|x| !x.is_nan()).collect();
     let count = values.len() as f64;

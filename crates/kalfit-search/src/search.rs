@@ -100,12 +100,12 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
     /// Whether ℓ is linear in some logarithm: without curvature Newton's method makes no step, yet there is no maximum.
     fn is_on_a_slope(&self, joint: &JointInformation) -> bool {
-        let straight = |s: usize| {
+        let is_linear = |s: usize| {
             let moves =
                 self.objective.coordinates[s].log && self.standing[s] == Standing::Inside && self.held != Some(s);
             moves && self.iterate.gradient[s].abs() > MIN_SLOPE && joint.curvature(s).abs() < FLAT_LOGARITHM
         };
-        (0..self.standing.len()).any(straight)
+        (0..self.standing.len()).any(is_linear)
     }
 
     /// Makes the next move, given the information and Newton's step; `fine`: both come from two-sided differences.
@@ -127,15 +127,15 @@ impl<'b, 'a> SearchState<'b, 'a> {
             self.report_step(Some(step.decrement));
             return NextStep::On { two_sided: true };
         }
-        let still = step.decrement.max(self.ridges.below) <= self.tolerance();
-        if still && !step.concave && (self.certify_population() || self.leave_saddle(joint)) {
+        let is_stationary = step.decrement.max(self.ridges.below) <= self.tolerance();
+        if is_stationary && !step.concave && (self.certify_population() || self.leave_saddle(joint)) {
             return NextStep::On { two_sided: false };
         }
         if self.cannot_reach_best(step.decrement) {
             self.given_up = !self.reactivate_levels(joint);
             return if self.given_up { NextStep::End(Stop::PassLimit) } else { NextStep::On { two_sided: false } };
         }
-        if still && step.concave {
+        if is_stationary && step.concave {
             return match fine {
                 false => NextStep::On { two_sided: true },
                 true if self.certify_population() => NextStep::On { two_sided: true },

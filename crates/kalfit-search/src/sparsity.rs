@@ -1,7 +1,7 @@
 //! Which tests depend on which values of α: values that no test has in common can move in one run of the filters.
 
 use crate::colours::colours;
-use crate::profile_likelihood::{OfTests, ProfileLikelihood};
+use crate::profile_likelihood::{ProfileLikelihood, TestResults};
 use kalfit_filter::score::Gradient;
 
 /// The dependences between the tests and the values of α.
@@ -18,7 +18,7 @@ pub(super) struct JacobianSparsity {
 
 impl JacobianSparsity {
     /// The dependences between tests and n values, from the values that occur in the scores of each test.
-    pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> JacobianSparsity {
+    pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &TestResults, n: usize) -> JacobianSparsity {
         let mut tests = vec![Vec::new(); n];
         let mentioned = |gradient: &Gradient| gradient.iter().map(|(s, _)| *s).collect();
         // a value that affects one test affects the results of all tests of the same unit
@@ -43,7 +43,7 @@ impl JacobianSparsity {
             return active.iter().map(|&s| vec![s]).collect();
         }
         let is_whole = |s: usize| self.matrix[s] || self.is_common(s);
-        let own = |&s: &usize| (s, (!is_whole(s)).then_some(&*self.tests[s]));
-        colours(active.iter().map(own), self.count)
+        let with_tests = |&s: &usize| (s, (!is_whole(s)).then_some(&*self.tests[s]));
+        colours(active.iter().map(with_tests), self.count)
     }
 }

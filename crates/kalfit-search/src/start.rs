@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::DynamicError;
 use crate::balance::balance;
 use crate::profile_likelihood::ProfileLikelihood;
-use crate::sample::{larger, promising, refined, rough_settings, sample, total};
+use crate::sample::{larger, promising, refined, rough_settings, sample, total_rows};
 use crate::scales::{drives, measures, time_constants};
 use crate::search_state::SearchStart;
 use crate::tries::{other_maxima, scan, with_likelihood};
@@ -22,7 +22,7 @@ const SCATTERED: usize = 40;
 /// Standard deviation of a logarithm over the scattered points.
 const SCATTER_SPREAD: f64 = 2.5;
 /// Standard deviation of a logarithm over the random starts.
-const SPREAD: f64 = 1.5;
+const RANDOM_SPREAD: f64 = 1.5;
 
 /// Start values: the first guess from the data, points where ℓ seems to have other maxima in noise levels or a time
 /// constant, and as many random points as the settings request.
@@ -49,7 +49,7 @@ pub(crate) fn starts(
         all.extend(other_maxima(&small, parameter, &first, progress));
     }
     all.extend((0..objective.settings.starts).map(|k| random(objective, &first, k)));
-    if total(&sample) == total(objective.tests) {
+    if total_rows(&sample) == total_rows(objective.tests) {
         return Ok(all.into_iter().map(SearchStart::from).collect());
     }
     // given values remain a start, wherever searches on a part of the data end
@@ -95,10 +95,10 @@ pub(crate) fn from_data(
     held: Option<(usize, f64)>,
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
-    let still =
+    let held_parameter =
         held.map(|(s, _)| objective.slots.slots()[s]).filter(|slot| slot.level.is_none()).map(|slot| slot.parameter);
     let parameters = 0..objective.model.shared().parameters.len();
-    let all: Vec<usize> = parameters.filter(|&p| objective.slots.is_free(p) && still != Some(p)).collect();
+    let all: Vec<usize> = parameters.filter(|&p| objective.slots.is_free(p) && held_parameter != Some(p)).collect();
     let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
     let sample = sample(objective.tests, common);
     let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
@@ -149,7 +149,7 @@ fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
             _ if coordinate.log || is_noise(slot.parameter) => scales.guess(objective.model, slot.parameter),
             _ => 0.0,
         };
-        coordinate.inside(guess)
+        coordinate.within_bounds(guess)
     };
     let values: Vec<f64> = objective.slots.slots().iter().enumerate().map(one).collect();
     objective.sought(&values)
@@ -171,8 +171,8 @@ fn scattered(
             small.model.shared().parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
         let moved = |(s, value): (usize, &f64)| {
             let parameter = small.slots.slots()[s].parameter;
-            let own = unknown.contains(&parameter) && small.coordinates[s].log;
-            if own { small.coordinates[s].moved(*value, SCATTER_SPREAD * draws[parameter]) } else { *value }
+            let is_scattered = unknown.contains(&parameter) && small.coordinates[s].log;
+            if is_scattered { small.coordinates[s].moved(*value, SCATTER_SPREAD * draws[parameter]) } else { *value }
         };
         places.push(first.iter().enumerate().map(moved).collect());
     }
@@ -181,7 +181,7 @@ fn scattered(
     found.into_iter().take(2).map(|(values, _)| values).collect()
 }
 
-/// Random start `k`: logarithms are moved by normal numbers of standard deviation [`SPREAD`], other values by normal
+/// Random start `k`: logarithms are moved by normal numbers of standard deviation [`RANDOM_SPREAD`], other values by normal
 /// numbers times the size of the value. Each start has a separate random stream.
 fn random(objective: &ProfileLikelihood<'_>, first: &[f64], k: usize) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(objective.settings.seed);
@@ -189,7 +189,7 @@ fn random(objective: &ProfileLikelihood<'_>, first: &[f64], k: usize) -> Vec<f64
     let moved = |(s, value): (usize, &f64)| {
         let draw: f64 = StandardNormal.sample(&mut random);
         let coordinate = objective.coordinates[s];
-        coordinate.moved(*value, if coordinate.log { SPREAD * draw } else { draw * value.abs().max(0.5) })
+        coordinate.moved(*value, if coordinate.log { RANDOM_SPREAD * draw } else { draw * value.abs().max(0.5) })
     };
     first.iter().enumerate().map(moved).collect()
 }

@@ -25,7 +25,7 @@ const OTHER_VALUES: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 const MIN_RISE: f64 = 1e-3;
 
 /// ℓ at each point, with reports of progress; `None` where ℓ is not defined, and once the caller no longer waits.
-pub(super) fn tried(
+pub(super) fn likelihoods_at(
     small: &ProfileLikelihood<'_>,
     places: &[Vec<f64>],
     progress: &mut dyn Progress,
@@ -69,7 +69,7 @@ pub(super) fn best_of(
 
 /// Lengthens the time constant of a nearly white process, in fine steps, to the highest ℓ: while the time constant
 /// affects only the shortest steps of a record, ℓ may rise and fall again between two powers of [`TRIAL_FACTOR`].
-pub(super) fn longer(
+pub(super) fn lengthened_time(
     objective: &ProfileLikelihood<'_>,
     parameter: usize,
     (values, highest): (Vec<f64>, f64),
@@ -87,21 +87,21 @@ pub(super) fn longer(
 }
 
 fn grid(small: &ProfileLikelihood<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
-    let own = |s: usize| small.slots.slots()[s].parameter == parameter;
-    let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
-        values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
+    let is_of_parameter = |s: usize| small.slots.slots()[s].parameter == parameter;
+    let with_parameter = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
+        values.iter().enumerate().map(|(s, &v)| if is_of_parameter(s) { change(s, v) } else { v }).collect()
     };
     // the size that the data suggest, where a value is far from that size
     let middle = |s: usize, v: f64| {
         let unit = small.units()[s];
         if (v / unit).ln().abs() <= MAX_POWERS_OFF * TRIAL_FACTOR.ln() { v } else { unit }
     };
-    if (0..values.len()).any(|s| own(s) && small.coordinates[s].log) {
+    if (0..values.len()).any(|s| is_of_parameter(s) && small.coordinates[s].log) {
         (-POWERS_EACH_SIDE..=POWERS_EACH_SIDE)
-            .map(|k| with(&|s, v| small.coordinates[s].moved(middle(s, v), f64::from(k) * TRIAL_FACTOR.ln())))
+            .map(|k| with_parameter(&|s, v| small.coordinates[s].moved(middle(s, v), f64::from(k) * TRIAL_FACTOR.ln())))
             .collect()
     } else {
-        OTHER_VALUES.iter().map(|&x| with(&|s, _| small.coordinates[s].inside(x))).collect()
+        OTHER_VALUES.iter().map(|&x| with_parameter(&|s, _| small.coordinates[s].within_bounds(x))).collect()
     }
 }
 
@@ -111,7 +111,7 @@ pub(super) fn with_likelihood(
     places: Vec<Vec<f64>>,
     progress: &mut dyn Progress,
 ) -> Vec<(Vec<f64>, f64)> {
-    let values = tried(small, &places, progress);
+    let values = likelihoods_at(small, &places, progress);
     places.into_iter().zip(values).filter_map(|(place, value)| Some((place, value?))).collect()
 }
 
@@ -135,7 +135,7 @@ pub(super) fn other_maxima(
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
     let grid = grid(small, parameter, first);
-    let values = tried(small, &grid, progress);
+    let values = likelihoods_at(small, &grid, progress);
     let values: Vec<f64> = values.into_iter().map(|value| value.unwrap_or(f64::NEG_INFINITY)).collect();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
     let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];

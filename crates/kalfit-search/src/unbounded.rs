@@ -44,12 +44,12 @@ pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: 
 /// Whether an end is uncertified, or has a level that a search stopped on the way to zero or that is below the size at
 /// [`FIRST_DEPTH`].
 fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
-    let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
+    let was_stopped = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
     let tiny = |s: usize| {
         let value = end.iterate.values[s];
         value > 0.0 && value < lowered_level(&objective.coordinates[s], objective.units()[s], FIRST_DEPTH)
     };
-    let is_open = |s: usize| objective.coordinates[s].level.is_some() && (left(s) || tiny(s));
+    let is_open = |s: usize| objective.coordinates[s].level.is_some() && (was_stopped(s) || tiny(s));
     match end.stop {
         Stop::Interrupted => false,
         Stop::Certified => (0..end.iterate.values.len()).any(is_open),

@@ -51,9 +51,12 @@ impl SearchState<'_, '_> {
         let near = |&s: &usize| -> Option<(usize, f64)> {
             let exponent = self.objective.coordinates[s].level?;
             let (slope, bend) = (self.iterate.gradient[s], joint.curvature(s));
-            let straight = exponent * slope.abs();
-            let sinks = slope < 0.0 && slope > -MAX_LEVEL_SLOPE && bend > 0.9 * straight && bend < 2.0 * straight;
-            let rises = slope > 0.0 && bend < 0.5 * straight && bend > -1.1 * straight;
+            let linear_curvature = exponent * slope.abs();
+            let sinks = slope < 0.0
+                && slope > -MAX_LEVEL_SLOPE
+                && bend > 0.9 * linear_curvature
+                && bend < 2.0 * linear_curvature;
+            let rises = slope > 0.0 && bend < 0.5 * linear_curvature && bend > -1.1 * linear_curvature;
             (sinks || rises).then_some((s, exponent))
         };
         joint.active.iter().filter_map(near).collect()
@@ -76,14 +79,14 @@ impl SearchState<'_, '_> {
         let fell = |&s: &usize| {
             self.objective.coordinates[s].level.is_some() && values[s] == 0.0 && self.iterate.values[s] > 0.0
         };
-        let fallen: Vec<usize> = (0..values.len()).filter(fell).collect();
-        if fallen.is_empty() {
+        let zeroed_levels: Vec<usize> = (0..values.len()).filter(fell).collect();
+        if zeroed_levels.is_empty() {
             return None;
         }
-        fallen.iter().for_each(|&s| raised[s] = self.iterate.values[s].min(NEARLY_ZERO * self.size(s)));
+        zeroed_levels.iter().for_each(|&s| raised[s] = self.iterate.values[s].min(NEARLY_ZERO * self.size(s)));
         let slack = 1e-11 * self.iterate.value().abs().max(1.0);
         let next = self.at(&raised).filter(|next| next.value() >= self.iterate.value() - slack)?;
-        fallen.iter().for_each(|&s| self.lower_limit[s] = raised[s]);
+        zeroed_levels.iter().for_each(|&s| self.lower_limit[s] = raised[s]);
         Some(next)
     }
 
@@ -91,21 +94,21 @@ impl SearchState<'_, '_> {
     /// linear in the variances there.
     pub(super) fn lower_vanishing_levels(&mut self) -> bool {
         let mut values = self.iterate.values.clone();
-        let mut nearer = Vec::new();
+        let mut lowered_levels = Vec::new();
         for s in (0..values.len()).filter(|&s| self.is_vanishing(s) && self.held != Some(s)) {
             let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
             let gain = -self.iterate.gradient[s] / exponent;
             if gain > NEGLIGIBLE_GAIN {
                 values[s] *= (REMAINING_GAIN * NEGLIGIBLE_GAIN / gain).powf(exponent.recip());
-                nearer.push(s);
+                lowered_levels.push(s);
             }
         }
-        let next = if nearer.is_empty() { None } else { self.at(&values) };
+        let next = if lowered_levels.is_empty() { None } else { self.at(&values) };
         let Some(next) = next.filter(|next| next.value() > self.iterate.value() + REMAINING_GAIN * NEGLIGIBLE_GAIN)
         else {
             return false;
         };
-        nearer.into_iter().for_each(|s| self.lower_limit[s] = values[s]);
+        lowered_levels.into_iter().for_each(|s| self.lower_limit[s] = values[s]);
         self.move_to(next);
         true
     }
@@ -128,14 +131,14 @@ impl SearchState<'_, '_> {
         if sinking.len() > 1 {
             sets.extend(sinking.iter().take(8).map(|&s| vec![s]));
         }
-        let mut leapt = false;
+        let mut has_moved = false;
         for set in sets.iter().filter(|set| !set.is_empty()) {
             if set.iter().any(|&s| self.iterate.values[s] <= self.lower_limit[s]) {
                 continue; // the set of all has just moved this value
             }
-            leapt |= self.try_at_bound(set);
+            has_moved |= self.try_at_bound(set);
         }
-        leapt
+        has_moved
     }
 
     /// Moves some values to the lower limits, unless ℓ falls.

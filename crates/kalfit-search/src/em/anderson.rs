@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 /// Maximal number of differences that are kept.
 const DEPTH: usize = 16;
 /// Size, relative to the largest singular value, below which a singular value counts as zero.
-const RANK: f64 = 1e-9;
+const MIN_SINGULAR_VALUE: f64 = 1e-9;
 
 /// Pairs (x, f(x)) so far.
 #[derive(Debug, Clone, Default)]
@@ -37,10 +37,10 @@ impl Anderson {
             return None;
         }
         let n = last_f.len();
-        let on = |i: usize| if active[i] { 1.0 } else { 0.0 };
+        let weight = |i: usize| if active[i] { 1.0 } else { 0.0 };
         let points = &self.points;
-        let df = DMatrix::from_fn(n, columns, |i, c| on(i) * (points[c + 1].1[i] - points[c].1[i]));
-        let dx = DMatrix::from_fn(n, columns, |i, c| on(i) * (points[c + 1].0[i] - points[c].0[i]));
+        let df = DMatrix::from_fn(n, columns, |i, c| weight(i) * (points[c + 1].1[i] - points[c].1[i]));
+        let dx = DMatrix::from_fn(n, columns, |i, c| weight(i) * (points[c + 1].0[i] - points[c].0[i]));
         let size: Vec<f64> = df.column_iter().map(|c| c.norm()).collect();
         if size.contains(&0.0) || last_x.len() != n {
             return None;
@@ -48,7 +48,7 @@ impl Anderson {
         let scaled = DMatrix::from_fn(n, columns, |i, c| df[(i, c)] / size[c]);
         let svd = scaled.svd(true, true);
         let most = svd.singular_values.max();
-        let gamma = svd.solve(last_f, RANK * most).ok()?;
+        let gamma = svd.solve(last_f, MIN_SINGULAR_VALUE * most).ok()?;
         let gamma = DVector::from_fn(columns, |c, _| gamma[c] / size[c]);
         let step = last_f - (dx + df) * gamma;
         step.iter().all(|d| d.is_finite()).then(|| step.as_slice().to_vec())

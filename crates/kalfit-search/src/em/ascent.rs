@@ -144,10 +144,10 @@ fn line_search(
     None
 }
 
-fn dot(a: &[f64], b: &[f64], on: &[bool]) -> f64 {
-    a.iter().zip(b).zip(on).filter(|(_, on)| **on).map(|((a, b), _)| a * b).sum()
+fn dot(a: &[f64], b: &[f64], mask: &[bool]) -> f64 {
+    a.iter().zip(b).zip(mask).filter(|(_, mask)| **mask).map(|((a, b), _)| a * b).sum()
 }
 
-fn add(a: &mut [f64], weight: f64, b: &[f64], on: &[bool]) {
-    a.iter_mut().zip(b).zip(on).filter(|(_, on)| **on).for_each(|((a, b), _)| *a += weight * b);
+fn add(a: &mut [f64], weight: f64, b: &[f64], mask: &[bool]) {
+    a.iter_mut().zip(b).zip(mask).filter(|(_, mask)| **mask).for_each(|((a, b), _)| *a += weight * b);
 }

@@ -127,18 +127,18 @@ impl<'b, 'a> Em<'b, 'a> {
 
     fn check_certificate(&self, fine: bool) -> CertificateCheck {
         let joint = JointInformation::new(self.search.objective, &self.search.iterate, &self.search.active(), fine);
-        let still = DVector::zeros(self.search.iterate.estimate.state.newton_iterate.tangent.gradient.len());
-        let step = joint.step(&self.search.iterate.gradient, &still, 0.0);
+        let zero_gradient = DVector::zeros(self.search.iterate.estimate.state.newton_iterate.tangent.gradient.len());
+        let step = joint.step(&self.search.iterate.gradient, &zero_gradient, 0.0);
         CertificateCheck { joint, decrement: step.decrement, concave: step.concave }
     }
 
     fn try_lower_bounds(&mut self, joint: &JointInformation) -> bool {
-        let leapt = self.search.try_lower_bounds(joint);
-        if leapt {
+        let has_moved = self.search.try_lower_bounds(joint);
+        if has_moved {
             self.search.update_standing();
             self.forget();
         }
-        leapt
+        has_moved
     }
 
     fn forget(&mut self) {
@@ -242,8 +242,8 @@ impl<'b, 'a> Em<'b, 'a> {
         let direct: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Likelihood).collect();
         if direct.contains(&true) {
             let joint = JointInformation::new(objective, iterate, &direct, false);
-            let still = DVector::zeros(iterate.estimate.state.newton_iterate.tangent.gradient.len());
-            let newton = joint.step(&iterate.gradient, &still, 0.0);
+            let zero_gradient = DVector::zeros(iterate.estimate.state.newton_iterate.tangent.gradient.len());
+            let newton = joint.step(&iterate.gradient, &zero_gradient, 0.0);
             (0..active.len()).filter(|&s| direct[s]).for_each(|s| step[s] = newton.alpha[s]);
         }
         Ok(step)

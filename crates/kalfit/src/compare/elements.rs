@@ -109,7 +109,7 @@ fn mean_value(fit: &FitRecord, key: &ElementKey) -> f64 {
 }
 
 /// Name of an element; with its phase where there are several.
-pub(super) fn words(key: &ElementKey, several: bool) -> String {
+pub(super) fn element_name(key: &ElementKey, several: bool) -> String {
     let of = |phase: &str, state: &str| if several { format!("{phase}.{state}") } else { state.to_owned() };
     match key {
         ElementKey::Mean(phase, state) => format!("mean[{}]", of(phase, state)),
@@ -138,7 +138,7 @@ pub(super) fn differences(fits: &[&FitRecord]) -> Vec<DifferenceRecord> {
     let record = |key: &ElementKey| {
         let standing: Vec<Option<StandingRecord>> = all.iter().map(|own| own.get(key).copied()).collect();
         let differs = standing.iter().any(|one| !same(one, &standing[0]));
-        differs.then(|| DifferenceRecord { element: words(key, several), standing })
+        differs.then(|| DifferenceRecord { element: element_name(key, several), standing })
     };
     keys.into_iter().filter_map(record).collect()
 }

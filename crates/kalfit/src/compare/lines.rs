@@ -36,7 +36,7 @@ pub(super) fn equations(fit: &FitRecord) -> Vec<String> {
 }
 
 /// Whether two models have the same equations; false where a record has none.
-pub(super) fn same(a: &FitRecord, b: &FitRecord) -> bool {
+pub(super) fn have_same_equations(a: &FitRecord, b: &FitRecord) -> bool {
     let (mut a, mut b) = (equations(a), equations(b));
     a.sort_unstable();
     b.sort_unstable();

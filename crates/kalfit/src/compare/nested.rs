@@ -142,10 +142,11 @@ fn restricted(
     (small, own): (&FitRecord, &FitElements),
     (large, others): (&FitRecord, &FitElements),
 ) -> Option<NestedRestriction> {
-    let is_described =
-        |fit: &FitRecord, own: &FitElements| lines::is_freely_structured(fit) && free(fit, own) == fit.free_parameters;
+    let is_described = |fit: &FitRecord, own: &FitElements| {
+        lines::is_freely_structured(fit) && free_quantities(fit, own) == fit.free_parameters
+    };
     if !same_states(small, large)
-        || !lines::same(small, large)
+        || !lines::have_same_equations(small, large)
         || !is_described(small, own)
         || !is_described(large, others)
     {
@@ -167,7 +168,7 @@ fn restricted(
             (true, false) => {
                 found.df += 1;
                 if matches!(key, ElementKey::Covariance(_, i, k) if i == k) && a.1 == 0.0 {
-                    found.ends.push(super::elements::words(key, small.phases.len() > 1));
+                    found.ends.push(super::elements::element_name(key, small.phases.len() > 1));
                 }
             }
             _ => return None,
@@ -212,9 +213,10 @@ fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut N
                 found.parameters += 1;
                 if lines::is_range_end(large, name, own.2) {
                     found.parameter_ends += 1;
-                    found
-                        .ends
-                        .push(super::elements::words(&ElementKey::Parameter(name.to_owned(), level.clone()), false));
+                    found.ends.push(super::elements::element_name(
+                        &ElementKey::Parameter(name.to_owned(), level.clone()),
+                        false,
+                    ));
                 }
             }
             _ => return None,
@@ -224,7 +226,7 @@ fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut N
 }
 
 /// Number of free quantities, if each element that is not fixed is one of them.
-fn free(fit: &FitRecord, own: &FitElements) -> usize {
+fn free_quantities(fit: &FitRecord, own: &FitElements) -> usize {
     let scaled = fit.phases.iter().any(|phase| phase.mean.scale.is_some() || phase.covariance.scale.is_some());
     match scaled || fit.levels.iter().any(|level| level.covariance.scale.is_some()) {
         true => usize::MAX,

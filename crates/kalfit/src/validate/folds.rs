@@ -87,15 +87,15 @@ impl Folds {
     ) -> Result<Folds, FoldsError> {
         let texts: BTreeMap<&str, &str> =
             groups.each().iter().map(|(id, text)| (id.as_str(), text.as_deref().unwrap_or_default())).collect();
-        let own: Vec<&str> =
+        let test_texts: Vec<&str> =
             tests.iter().map(|test| texts.get(test.id.as_str()).copied().unwrap_or_default()).collect();
-        let mut names = own.clone();
+        let mut names = test_texts.clone();
         names.sort_unstable();
         names.dedup();
         if names.len() < 2 {
             return Err(FoldsError::One { why: "name a column with different texts" });
         }
-        let of: Vec<usize> = own.iter().map(|text| names.partition_point(|name| name < text)).collect();
+        let of: Vec<usize> = test_texts.iter().map(|text| names.partition_point(|name| name < text)).collect();
         if let Some(level) = model.levels.first() {
             let mut seen: BTreeMap<String, usize> = BTreeMap::new();
             for (group, &fold) in pieces(model, labels, tests)?.into_iter().zip(&of) {

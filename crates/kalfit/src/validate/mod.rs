@@ -114,7 +114,7 @@ pub fn validate(
         let (inside, others) = folds.split(fold);
         let values = match populations_without.as_ref().and_then(|all| all[inside[0]].clone()) {
             Some(population) => (whole.alpha.clone(), population, true),
-            None => without(&model, ensemble, &others, &options, progress)?,
+            None => fit_without(&model, ensemble, &others, &options, progress)?,
         };
         found.folds.push(values.2);
         let left: Vec<PhasedTest> = inside.iter().map(|&test| ensemble.tests()[test].clone()).collect();
@@ -164,7 +164,7 @@ fn populations_without(
 }
 
 /// α and the population of a fit to some tests, and whether the fit is certified.
-fn without(
+fn fit_without(
     model: &PhasedModel,
     ensemble: &Ensemble,
     others: &[usize],
