@@ -134,6 +134,7 @@ pub struct Lcg(pub u64);
 
 impl Lcg {
     /// The next number.
+    #[expect(clippy::should_implement_trait, reason = "numbers without end: an iterator would give options")]
     pub fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((self.0 >> 40) as f64 + 0.5) / f64::from(1 << 24) - 0.5
