@@ -1,5 +1,5 @@
 //! Matrix operations of the recursions over phases, written once for two kinds of storage: rows of any size
-//! ([`crate::linalg::rows`]) and arrays of a size that the compiler knows ([`crate::linalg::fixed`]).
+//! (`crate::linalg::rows`) and arrays of a size that the compiler knows (`crate::linalg::fixed`).
 
 use std::ops::Range;
 

@@ -24,9 +24,9 @@ pub struct Regular {
 }
 
 impl Regular {
-    /// Factorises A; `None` where an eigenvalue of A may be below [`MIN_EIGENVALUE`]. For a matrix of one block the
+    /// Factorises A; `None` where an eigenvalue of A may be below `MIN_EIGENVALUE`. For a matrix of one block the
     /// bound is rigorous: the least eigenvalue is at least the inverse of Σ 1/λ = ‖R⁻¹‖². For a larger matrix, inverse
-    /// iteration estimates the least eigenvalue from above, and [`ESTIMATE_MARGIN`] is the margin.
+    /// iteration estimates the least eigenvalue from above, and `ESTIMATE_MARGIN` is the margin.
     ///
     /// The root is computed in the memory of A; where the result is `None`, A is lost.
     pub fn within(a: DMatrix<f64>) -> Option<Regular> {

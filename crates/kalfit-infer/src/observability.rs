@@ -168,7 +168,7 @@ fn remote_observability(problem: &Problem, weight: &DMatrix<f64>) -> Observabili
     }
 }
 
-/// A shard's answer to [`Question::Observability`]: number of tests that inform each state (p), that observe each state
+/// A shard's answer to `Question::Observability`: number of tests that inform each state (p), that observe each state
 /// (p), and that inform both of two states (p × p by rows); `None` where `frame` does not fit the model of the shard.
 pub fn observability_counts(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
     let p = frame.centre.len();

@@ -22,7 +22,7 @@ pub struct Verdict {
 pub struct Joint {
     /// Sum of the squares.
     pub squared: f64,
-    /// Degrees of freedom of the squares: E[`squared`] at known parameters.
+    /// Degrees of freedom of the squares: E`squared` at known parameters.
     pub degrees_of_freedom: usize,
     /// Law of the sum; `None` without degrees of freedom, and where the law is not known.
     pub law: Option<Law>,

@@ -41,7 +41,7 @@ pub struct Reduction {
     pub exact: Option<Box<ExactRows>>,
 }
 
-/// One test of [`Reductions`]: references to all fields of a [`Reduction`].
+/// One test of `Reductions`: references to all fields of a [`Reduction`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReductionRef<'a> {
     /// Id of the test.
