@@ -63,9 +63,10 @@ pub(super) fn to_f64(array: &dyn Array) -> Result<Float64Array, ArrowError> {
         DataType::Decimal256(_, scale) => {
             let unit = ten_to(*scale);
             converted::<Decimal256Type, _>(array, move |value| {
-                // the upper half counts 2¹²⁸
-                let (low, high) = value.to_parts();
-                (high as f64 * 2.0_f64.powi(128) + low as f64) / unit
+                // the size first: beside 2¹²⁸ the digits of a small negative number would be rounded away
+                let (size, sign) = if value.is_negative() { (value.wrapping_neg(), -1.0) } else { (value, 1.0) };
+                let (low, high) = size.to_parts();
+                sign * (high as f64 * 2.0_f64.powi(128) + low as f64) / unit
             })
         }
         DataType::Dictionary(..) => return to_f64(&unpacked(array)?),
@@ -127,4 +128,46 @@ pub(super) fn decimal_texts(array: &dyn Array) -> Result<StringArray, ArrowError
         DataType::Decimal256(..) => texts::<Decimal256Type>(array),
         _ => return cannot(array, "decimals"),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use arrow_array::{Decimal128Array, Decimal256Array, DictionaryArray, Int8Array, Int32Array};
+    use arrow_buffer::i256;
+
+    use super::*;
+
+    fn numbers(array: &dyn Array) -> Vec<Option<f64>> {
+        to_f64(array).expect("numbers").iter().collect()
+    }
+
+    #[test]
+    fn decimals_are_numbers_of_either_sign() {
+        let expected = [Some(-6.125), None, Some(0.0), Some(41.5)];
+        let short = Decimal128Array::from(vec![Some(-6125), None, Some(0), Some(41_500)]);
+        let short = short.with_precision_and_scale(9, 3).expect("three places");
+        assert_eq!(numbers(&short), expected);
+        let long = [Some(-6125), None, Some(0), Some(41_500)].map(|value| value.map(i256::from_i128));
+        let long = Decimal256Array::from(long.to_vec()).with_precision_and_scale(50, 3).expect("three places");
+        assert_eq!(numbers(&long), expected);
+        let large = i256::from_parts(0, -4); // -4 × 2¹²⁸
+        let large = Decimal256Array::from(vec![large]).with_precision_and_scale(76, 0).expect("no places");
+        assert_eq!(numbers(&large), [Some(-(2.0_f64.powi(130)))]);
+        let texts = decimal_texts(&short).expect("decimals");
+        assert_eq!(texts.iter().collect::<Vec<_>>(), [Some("-6.125"), None, Some("0.000"), Some("41.500")]);
+    }
+
+    #[test]
+    fn a_dictionary_is_read_row_by_row() {
+        let values = Int32Array::from(vec![Some(7), None, Some(-3)]);
+        let keys = Int8Array::from(vec![Some(2), Some(0), None, Some(1)]);
+        let dictionary = DictionaryArray::new(keys, std::sync::Arc::new(values));
+        assert_eq!(numbers(&dictionary), [Some(-3.0), Some(7.0), None, None]);
+    }
+
+    #[test]
+    fn what_is_no_number_is_refused_by_its_type() {
+        let error = to_f64(&StringArray::from(vec!["a"])).expect_err("no numbers").to_string();
+        assert!(error.contains("a column of type Utf8 cannot be read as numbers"), "{error}");
+    }
 }
