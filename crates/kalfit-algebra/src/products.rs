@@ -41,7 +41,7 @@ impl<T: Real> Rows<T> {
     /// U⁻ᵀB, U upper triangular.
     #[inline(always)]
     pub fn solved_transposed(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
-        T::apart(SolveBelow { upper, b: &mut b });
+        T::apart(ForwardSubstitution { upper, b: &mut b });
         b
     }
 }
@@ -84,17 +84,17 @@ impl<T: Real> Part for TimesTranspose<'_, T> {
     }
 }
 
-struct SolveBelow<'a, T> {
+struct ForwardSubstitution<'a, T> {
     upper: &'a Rows<T>,
     b: &'a mut Rows<T>,
 }
 
-impl<T: Real> Part for SolveBelow<'_, T> {
+impl<T: Real> Part for ForwardSubstitution<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let SolveBelow { upper, b } = self;
+        let ForwardSubstitution { upper, b } = self;
         for i in 0..b.nrows() {
             let (rows_above, row) = b.split_at_row(i);
             let a = (&upper.as_slice()[i..], upper.ncols());

@@ -1,4 +1,4 @@
-//! What building costs: the figures of CONTRIBUTING, measured on this machine.
+//! The cost of building: each budget of CONTRIBUTING beside the figure of this machine.
 
 use std::path::PathBuf;
 use std::process::{Command, ExitCode, Stdio};

@@ -1,4 +1,4 @@
-//! M-steps without a closed form: the Newton's method of the search maximises -½n (log|Σ| + tr(Σ⁻¹M̄)) under
+//! M-steps without a closed form: Newton's method of the search maximises -½n (log|Σ| + tr(Σ⁻¹M̄)) under
 //! constraints.
 
 use std::sync::Arc;

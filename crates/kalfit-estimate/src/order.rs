@@ -1,4 +1,4 @@
-//! What a pass is to compute.
+//! The sums and derivatives that a pass computes.
 
 use nalgebra::DMatrix;
 

@@ -8,7 +8,7 @@ use crate::scales::time_constants;
 use kalfit_model::{Expression, PhasedModel, Site, Slots};
 
 /// Least size to which the step of a value is relative, where the value itself is sought, not the logarithm.
-const MIN_STEP_SIZE: f64 = 1e-2;
+const MIN_REFERENCE_VALUE: f64 = 1e-2;
 /// Least curvature of ℓ in a variance, relative to |slope|; a smaller curvature is replaced by this one.
 const MIN_RELATIVE_CURVATURE: f64 = 1e-3;
 
@@ -55,7 +55,7 @@ impl Coordinate {
 
     /// Length of a step in the coordinate: `part` for a logarithm, `part` × the size of another value.
     pub fn step(&self, value: f64, part: f64) -> f64 {
-        if self.log { part } else { part * value.abs().max(MIN_STEP_SIZE) }
+        if self.log { part } else { part * value.abs().max(MIN_REFERENCE_VALUE) }
     }
 
     /// The value after a step in the coordinate, within bounds.

@@ -30,9 +30,9 @@ const FLAT_SLOPE: f64 = 1e-9;
 const TIME_RATIO: f64 = 2.0;
 /// Shortest time constant tried, in lengths of a step.
 const SHORTEST_TIME: f64 = 0.05;
-/// Longest time constant in that series, in lengths of a test.
+/// Longest time constant tried, in lengths of a test.
 const LONGEST_TIME: f64 = 4.0;
-/// Maximal number of time constants in that series.
+/// Maximal number of time constants tried between the shortest and the longest.
 const MAX_TIMES: usize = 40;
 /// Further time constants tried, in lengths of a test, at which the process is all but constant in a test.
 const LONG_TIMES: [f64; 3] = [30.0, 1e3, 1e6];

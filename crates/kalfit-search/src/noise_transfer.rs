@@ -79,7 +79,7 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
         let variance = values[t].powf(exponent);
         let noises = self.covariance_of_noises(&values) + &self.loadings * self.loadings.transpose() * variance;
         values[t] = 0.0;
-        self.values_at(values, &noises)
+        self.values_with_noises(values, &noises)
     }
 
     /// The sought values with as much of the noises as possible given to the process; `None` where that is nothing.
@@ -93,7 +93,7 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
         let taker = self.objective.coordinates[t];
         values[t] = variance.powf(exponent.recip()).clamp(taker.lower, taker.upper);
         let remaining_noise = noises - &self.loadings * self.loadings.transpose() * values[t].powf(exponent);
-        Some(self.values_at(values, &remaining_noise))
+        Some(self.values_with_noises(values, &remaining_noise))
     }
 
     /// The covariance R of the noises.
@@ -107,7 +107,7 @@ impl<'b, 'a> NoiseTransfer<'b, 'a> {
     }
 
     /// The sought values for a given covariance R of the noises.
-    fn values_at(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
+    fn values_with_noises(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
         for (m, &(level, exponent)) in self.levels.iter().enumerate().filter(|(m, _)| self.loadings[*m] != 0.0) {
             let coordinate = self.objective.coordinates[level];
             values[level] = noises[(m, m)].max(0.0).powf(exponent.recip()).clamp(coordinate.lower, coordinate.upper);

@@ -156,7 +156,7 @@ fn held_level_as_measurement_noise(
     (t, timed): (usize, &[usize]),
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let parameter = timed.iter().find(|&&parameter| driven_level(objective, parameter) == Some((t, true)))?;
+    let parameter = timed.iter().find(|&&parameter| driving_level(objective, parameter) == Some((t, true)))?;
     let source_exponent = objective.coordinates[t].level?;
     let mut beside = end.iterate.values.clone();
     let measures = |s: usize| scales::measures(objective.model, objective.slots.slots()[s].parameter);
@@ -182,7 +182,7 @@ fn process_to_noise(
     let measurement_levels: Vec<usize> =
         levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(objective, s)).collect();
     let sized =
-        white.iter().filter_map(|&parameter| driven_level(objective, parameter).filter(|(_, is_size)| *is_size));
+        white.iter().filter_map(|&parameter| driving_level(objective, parameter).filter(|(_, is_size)| *is_size));
     let sized: Vec<usize> = sized.map(|(t, _)| t).filter(|t| levels.contains(t) && values[*t] > 0.0).collect();
     let mut all = Vec::new();
     for (&s, &t) in measurement_levels.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
@@ -249,7 +249,7 @@ fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f6
         for &parameter in &parameters {
             let Some(time) = objective.slots.common(parameter) else { continue };
             moved[time] = objective.coordinates[time].moved(values[time], step);
-            let sized = driven_level(objective, parameter).filter(|(_, is_size)| *is_size);
+            let sized = driving_level(objective, parameter).filter(|(_, is_size)| *is_size);
             let Some((level, _)) = sized else { continue };
             let Some(exponent) = objective.coordinates[level].level else { continue };
             moved[level] = objective.coordinates[level].moved(values[level], step / exponent);
@@ -261,7 +261,7 @@ fn scaled_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f6
 
 /// Slot of the noise level of the process with a given time constant, and whether the level is the size of the process:
 /// the noise variance then depends on the time constant, too.
-fn driven_level(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
+fn driving_level(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
     objective.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
         let (form, noise_variance) = state.motion.parts()?;
         let timed = form.terms.iter().any(|(_, term)| term.mentions(time_constant));
@@ -281,7 +281,7 @@ fn noise_to_process(
     time_constant: usize,
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let (taker, is_size) = driven_level(objective, time_constant)?;
+    let (taker, is_size) = driving_level(objective, time_constant)?;
     if values[s] == 0.0 || drives(objective, s) {
         return None;
     }

@@ -97,7 +97,7 @@ pub struct ProfilePoint {
 /// Results from which second derivatives are computed.
 #[derive(Debug, Clone)]
 pub(crate) enum SecondDerivatives {
-    /// Results of each test, for differences.
+    /// Reductions and scores of each test, at values of α whose differences give second derivatives.
     Tests(Box<TestResults>),
     /// Exact information on the only value, which scales all noise, and between that value and (μ, Σ) along the tangent
     /// basis. Results of each test are computed on request.

@@ -76,8 +76,8 @@ impl Ridge {
 
     /// Whether ℓ falls to a side by as much as the gradients predict.
     fn tells(&self, side: &RidgeSide, length: f64, start_value: f64) -> bool {
-        let bent = 0.5 * self.curvature * length * length;
-        (start_value - side.value - (bent - self.slope * length)).abs() <= MAX_DISAGREEMENT * bent
+        let curvature_loss = 0.5 * self.curvature * length * length;
+        (start_value - side.value - (curvature_loss - self.slope * length)).abs() <= MAX_DISAGREEMENT * curvature_loss
     }
 
     /// Length of the step to the top of the ridge.

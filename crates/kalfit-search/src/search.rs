@@ -46,7 +46,7 @@ const MAX_SHORT_STEPS: usize = 3;
 /// Slope above which a point is no maximum although the curvature is below [`FLAT_LOGARITHM`].
 const MIN_SLOPE: f64 = 1e-3;
 
-/// What a search does next.
+/// The next step of a search.
 enum NextStep {
     /// Continue; `two_sided`: with two-sided differences.
     On { two_sided: bool },

@@ -7,8 +7,8 @@ use kalfit_estimate::{Progress, Stage};
 pub(super) const TRIAL_FACTOR: f64 = 4.0;
 /// Number of values tried above the middle value, and below.
 const POWERS_EACH_SIDE: i32 = 6;
-/// Distance of a value from the size that the data suggest, in powers of [`TRIAL_FACTOR`], up to which the value is the
-/// middle of the trials.
+/// Trials are centred at the value itself while the value is within this many powers of [`TRIAL_FACTOR`] of the size
+/// that the data suggest.
 const MAX_POWERS_OFF: f64 = 4.0;
 /// Number of points that are evaluated between two checks whether the caller still waits.
 const BATCH: usize = 8;

@@ -9,7 +9,7 @@ use kalfit_filter::reduce::ReductionRef;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::{Phase, PhasedModel};
 
-/// What is known of the errors of the parameters that tests are compared with.
+/// Uncertainty of the parameters that tests are compared with.
 #[derive(Debug, Clone, Copy)]
 pub enum Trust<'a> {
     /// The covariance of all estimates is known; [`Knowledge::exact`] where nothing was estimated.

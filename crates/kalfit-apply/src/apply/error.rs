@@ -32,7 +32,7 @@ pub enum ApplyError {
         test: String,
         /// Name of the phase.
         phase: String,
-        /// What the phase has instead of rows that are filtered here.
+        /// Evidence that the phase has in place of rows.
         found: &'static str,
     },
 }

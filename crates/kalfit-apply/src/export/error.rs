@@ -29,7 +29,7 @@ pub enum ExportError {
     /// The length of a step is needed, but not given.
     #[error("{what} depends on the length of a step, which is not given")]
     NoStep {
-        /// What depends on the length of a step.
+        /// Name of the matrix or column that depends on the length of a step.
         what: String,
     },
     /// A step was given, although the rows of the model have no times.
@@ -104,7 +104,7 @@ pub struct Varies {
 }
 
 impl ExportError {
-    /// What the user can do about the error, if there is a general answer.
+    /// Advice that helps whatever the model; `None` where there is none.
     pub fn hint(&self) -> Option<String> {
         match self {
             ExportError::UnknownPhase { .. } => None,

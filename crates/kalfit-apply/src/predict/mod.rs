@@ -111,11 +111,11 @@ pub struct Predicted {
     pub hangs_on_zero: bool,
     /// Errors of the estimates; `None` where the value depends on a quantity that the data do not determine.
     pub estimation: Option<Estimation>,
-    /// What limits of the mean are computed from.
+    /// Source of the limits of the mean.
     pub limits: MeanLimits,
 }
 
-/// What limits of a mean are computed from.
+/// Source of the limits of a mean: its standard error or its profile likelihood.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum MeanLimits {
     /// The standard error of the mean.

@@ -10,8 +10,7 @@ const TESTS_PER_TASK: usize = 256;
 
 /// Fewest successive tests whose sets are reduced together, so few that the cells of the tests stay in the caches.
 const LEAST_LIST_TESTS: usize = 1 << 11;
-/// Fewest successive tests that are reduced together, per set of replicates: one test of each set is evaluated for each
-/// list.
+/// Fewest successive tests of a list, per set of replicates: each list evaluates one test of every set anew.
 const LEAST_TESTS_PER_SET: usize = 64;
 
 /// Some tests of an ensemble, by index, each in a set of replicates or alone. The sets depend only on the cells of the

@@ -25,7 +25,7 @@ use kalfit_model::Test;
 const RANGE_TOLERANCE: f64 = 1e-10;
 /// Largest scaled variance of noise outside the range that is taken for a rounding error.
 const MAX_VARIANCE_OUTSIDE: f64 = 1e-6;
-/// Largest E[v²] of a measurement without noise, as a fraction of the sum of the squared terms of the measurement.
+/// Largest E[v²] of a measurement without noise that counts as zero, as a fraction of the sum of the squared terms of the measurement.
 const EXACT_TOLERANCE: f64 = 1e-12;
 
 impl Scorer<'_> {

@@ -170,12 +170,12 @@ impl Moments {
     pub(crate) fn mean_of(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> Vec<f64> {
         let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);
         let mut mean = ExactConditional::of(reduction, law).mean(reduction, law).as_slice().to_vec();
-        let left = |i: usize| reduction.data[i] - (i..p).map(|k| factor(i, k) * mean[k]).sum::<f64>();
-        let left: Vec<f64> = (0..p).map(left).collect();
-        let told: Vec<f64> = (0..p).map(|k| (0..=k).map(|i| factor(i, k) * left[i]).sum()).collect();
+        let residual = |i: usize| reduction.data[i] - (i..p).map(|k| factor(i, k) * mean[k]).sum::<f64>();
+        let residuals: Vec<f64> = (0..p).map(residual).collect();
+        let weighted: Vec<f64> = (0..p).map(|k| (0..=k).map(|i| factor(i, k) * residuals[i]).sum()).collect();
         for c in 0..self.columns {
             let column = || self.root.iter().skip(c).step_by(self.columns);
-            let along: f64 = column().zip(&told).map(|(root, told)| root * told).sum();
+            let along: f64 = column().zip(&weighted).map(|(root, weighted)| root * weighted).sum();
             mean.iter_mut().zip(column()).for_each(|(mean, root)| *mean += root * along);
         }
         mean

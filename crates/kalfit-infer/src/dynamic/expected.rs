@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::SharedProgress;
 use crate::dynamic::stepwise::{
-    GroupedTest, LineValues, MotionValues, RecordMoments, RecordPoint, TimeStep, TimeSteps,
+    EvaluationPoint, GroupedTest, LineValues, MotionValues, RecordMoments, TimeStep, TimeSteps,
 };
 use kalfit_filter::reduce::ReduceError;
 use kalfit_filter::score::InitialLaw;
@@ -78,8 +78,8 @@ fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
 /// The point of a fit, and, for each coordinate, the points after a step up and down, with the distance between the
 /// two.
 struct Directions {
-    centre: RecordPoint,
-    all: Vec<([RecordPoint; 2], f64)>,
+    centre: EvaluationPoint,
+    all: Vec<([EvaluationPoint; 2], f64)>,
 }
 
 impl Directions {
@@ -90,13 +90,13 @@ impl Directions {
         shared: &[usize],
     ) -> Result<Option<Directions>, DynamicError> {
         let state = &fit.estimate.state;
-        let place = |alpha: &Alpha, law: InitialLaw| RecordPoint::new(objective, alpha, law);
+        let place = |alpha: &Alpha, law: InitialLaw| EvaluationPoint::new(objective, alpha, law);
         let mut all = Vec::new();
         for &s in shared {
             let coordinate = &objective.coordinates[s];
             let step = coordinate.step(fit.sought[s], STEP);
             let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
-            let at = |value: f64| -> Result<Option<RecordPoint>, DynamicError> {
+            let at = |value: f64| -> Result<Option<EvaluationPoint>, DynamicError> {
                 let mut sought = fit.sought.clone();
                 sought[s] = value;
                 let alpha = objective.alpha(&sought);
@@ -111,7 +111,7 @@ impl Directions {
         for i in 0..tangent.gradient.len() {
             let information = tangent.information[(i, i)];
             let step = STEP * if information > 0.0 { information.sqrt().recip() } else { tangent.sizes[i] };
-            let at = |sign: f64| -> Result<Option<RecordPoint>, DynamicError> {
+            let at = |sign: f64| -> Result<Option<EvaluationPoint>, DynamicError> {
                 let mut along = DVector::zeros(tangent.gradient.len());
                 along[i] = sign * step;
                 let there = state.moved(&fit.reductions, &fit.alpha, &along);
@@ -130,7 +130,7 @@ impl Directions {
         progress: &SharedProgress<'_>,
     ) -> Result<DMatrix<f64>, ReduceError> {
         let centre = self.centre.record(unit)?;
-        let sides = |([up, down], width): &([RecordPoint; 2], f64)| -> Result<RecordPair, ReduceError> {
+        let sides = |([up, down], width): &([EvaluationPoint; 2], f64)| -> Result<RecordPair, ReduceError> {
             Ok(RecordPair { up: up.record(unit)?, down: down.record(unit)?, width: *width })
         };
         let pairs: Vec<RecordPair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
@@ -222,15 +222,15 @@ impl TangentFilter {
 
     /// Predicts over a motion: x̂ → φx̂ + b, P → φPφ' + Q.
     fn advance(&mut self, own: &MotionValues, slopes: &[&MotionValues]) {
-        let ((to, from), k) = (own.phi.shape(), slopes.len());
-        let mut map = DMatrix::zeros(to * (k + 1), from * (k + 1));
-        map.view_mut((0, 0), (to, from)).copy_from(&own.phi);
+        let ((to, carried_slope), k) = (own.phi.shape(), slopes.len());
+        let mut map = DMatrix::zeros(to * (k + 1), carried_slope * (k + 1));
+        map.view_mut((0, 0), (to, carried_slope)).copy_from(&own.phi);
         let mut input = DVector::zeros(to * (k + 1));
         input.rows_mut(0, to).copy_from(&own.input);
         let before = std::mem::replace(&mut self.variance, DMatrix::zeros(0, 0));
         for (a, slope) in slopes.iter().enumerate() {
-            map.view_mut((to * (a + 1), from * (a + 1)), (to, from)).copy_from(&own.phi);
-            map.view_mut((to * (a + 1), 0), (to, from)).copy_from(&slope.phi);
+            map.view_mut((to * (a + 1), carried_slope * (a + 1)), (to, carried_slope)).copy_from(&own.phi);
+            map.view_mut((to * (a + 1), 0), (to, carried_slope)).copy_from(&slope.phi);
             input.rows_mut(to * (a + 1), to).copy_from(&slope.input);
             let turned = &slope.phi * &before * own.phi.transpose();
             self.slopes[a] =
@@ -259,9 +259,9 @@ impl TangentFilter {
         for (a, slope) in slopes.iter().enumerate() {
             observation_map.view_mut((0, a), (n, 1)).copy_from(&slope.h);
             observation_map.view_mut((n * (a + 1), a), (n, 1)).copy_from(&own.h);
-            let from = &self.slopes[a] * &own.h + &self.variance * &slope.h;
+            let carried_slope = &self.slopes[a] * &own.h + &self.variance * &slope.h;
             turned[a] = own.h.dot(&(&self.slopes[a] * &own.h)) + 2.0 * slope.h.dot(&carried) + slope.noise;
-            gains.set_column(a, &((from - &gain * turned[a]) / variance));
+            gains.set_column(a, &((carried_slope - &gain * turned[a]) / variance));
         }
         let expected = DVector::from_fn(k, |a, _| slopes[a].value) - observation_map.tr_mul(&self.mean);
         let with = &self.spread * &observation_map;

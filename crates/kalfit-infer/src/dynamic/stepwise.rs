@@ -14,7 +14,7 @@ use kalfit_search::DynamicError;
 use kalfit_search::ProfileLikelihood;
 
 /// A point in all coordinates: α and the law of ξ.
-pub(super) struct RecordPoint {
+pub(super) struct EvaluationPoint {
     reducer: PhasedReducer,
     law: InitialLaw,
     /// Roots F of the covariances FF' of the per-test effects, then of each level of groups from the innermost on.
@@ -63,17 +63,17 @@ pub(super) struct TimeStep {
     pub(super) lines: Vec<LineValues>,
 }
 
-impl RecordPoint {
+impl EvaluationPoint {
     pub(super) fn new(
         objective: &ProfileLikelihood<'_>,
         alpha: &Alpha,
         law: InitialLaw,
-    ) -> Result<RecordPoint, DynamicError> {
+    ) -> Result<EvaluationPoint, DynamicError> {
         let reducer = PhasedReducer::scoring(objective.model, alpha, objective.slots).map_err(Box::new)?;
         let levels = objective.model.levels.len() + 1;
         let width = law.root.ncols() / levels;
         let roots = (0..levels).map(|level| law.root.columns(level * width, width).into_owned()).collect();
-        Ok(RecordPoint { reducer, law, roots })
+        Ok(EvaluationPoint { reducer, law, roots })
     }
 
     /// Evaluates tests one after the other.

@@ -91,9 +91,9 @@ pub struct PhaseReduction {
 /// What a phase inherits: σ = [ξ; 0] + T x_K + t, with x_K the last state of the phase before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Inherited {
-    /// T, q × n, n the number of states of the phase before.
+    /// T, q × n: q entering coordinates σ, n states of the phase before.
     pub transition: DMatrix<f64>,
-    /// t, q numbers.
+    /// t, a list of q numbers.
     pub input: DVector<f64>,
 }
 

@@ -10,9 +10,9 @@ use kalfit_algebra::symmetric;
 /// The frame of estimation: ξ = centre + scale ∘ η.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Coordinates {
-    /// Of each state.
+    /// Centre of each state.
     pub centre: Vec<f64>,
-    /// Of each state.
+    /// Scale of each state, greater than zero.
     pub scale: Vec<f64>,
     /// Scale of each covariate.
     pub covariate_scale: Vec<f64>,

@@ -68,7 +68,7 @@ pub enum ShardError {
 }
 
 impl ShardError {
-    /// What the user can do about the error, if there is a general answer.
+    /// Advice that helps whatever the model; `None` where there is none.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             ShardError::PerLevel { .. } => Some("make the parameter common to all tests, or give each level its value"),

@@ -79,15 +79,19 @@ impl Conditioned {
         let deviation: Vec<f64> = D_h.row_iter().map(|row| row.norm()).collect();
         let size: Vec<f64> = deviation.iter().map(|s| if *s > 0.0 { *s } else { 1.0 }).collect();
         let scaled = |a: &DMatrix<f64>| DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[j]);
-        let whole = SingularValues::of(&DMatrix::from_fn(m, D_h.ncols(), |i, j| D_h[(i, j)] / size[i]));
-        let r = whole.rank(CERTAIN_FRACTION);
-        let U = whole.left.columns(0, r).into_owned();
-        let V = DMatrix::from_fn(D_h.ncols(), r, |i, k| whole.scaled_right[(i, k)] / whole.values[k]);
-        let W = scaled(&DMatrix::from_fn(r, m, |k, i| U[(i, k)] / whole.values[k]));
-        let certain = scaled(&whole.left.columns(r, m - r).transpose());
+        let singular_values = SingularValues::of(&DMatrix::from_fn(m, D_h.ncols(), |i, j| D_h[(i, j)] / size[i]));
+        let r = singular_values.rank(CERTAIN_FRACTION);
+        let U = singular_values.left.columns(0, r).into_owned();
+        let V =
+            DMatrix::from_fn(D_h.ncols(), r, |i, k| singular_values.scaled_right[(i, k)] / singular_values.values[k]);
+        let W = scaled(&DMatrix::from_fn(r, m, |k, i| U[(i, k)] / singular_values.values[k]));
+        let certain = scaled(&singular_values.left.columns(r, m - r).transpose());
         let (WS, SP) = (&W * S, S * &entry.root);
-        let relations =
-            Relations { rows: &certain, rounding_deviation: rounding_deviation(&whole, r, &deviation), WS: &WS };
+        let relations = Relations {
+            rows: &certain,
+            rounding_deviation: rounding_deviation(&singular_values, r, &deviation),
+            WS: &WS,
+        };
         let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } =
             relations.certain_information(S, entry)?;
         let C = &W * &SP * &V_B;
@@ -100,9 +104,9 @@ impl Conditioned {
         rows.view_mut((0, 0), (r, k)).copy_from(&G);
         rows.view_mut((0, k), (r, q)).copy_from(&T);
         rows.view_mut((r, k), T_B.shape()).copy_from(&T_B);
-        let logs: f64 = whole.values[..r].iter().map(|x| x.ln()).sum();
+        let logs: f64 = singular_values.values[..r].iter().map(|x| x.ln()).sum();
         let mut random = U.clone().resize_horizontally(r + basis.ncols(), 0.0);
-        random.columns_mut(r, basis.ncols()).copy_from(&(whole.left.columns(r, m - r) * basis));
+        random.columns_mut(r, basis.ncols()).copy_from(&(singular_values.left.columns(r, m - r) * basis));
         let from_white = D_1 * &V;
         Ok(Conditioned {
             log_volume: logs + log_spread(&U, &size),
@@ -209,11 +213,14 @@ impl Relations<'_> {
 
 /// ε of each relation, in deviations: from the singular value of the relation, which is zero up to rounding, or from
 /// the rounding error of the largest singular value; zero for relations of elements without noise.
-fn rounding_deviation(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
+fn rounding_deviation(singular_values: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
     let m = deviation.len();
-    let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
-    let random = |i: usize| (0..m).any(|row| deviation[row] > 0.0 && whole.left[(row, i)] != 0.0);
-    DVector::from_fn(m - r, |i, _| if random(r + i) { ROUNDING_BOUND * whole.values[r + i].max(least) } else { 0.0 })
+    let least = singular_values.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
+    let random = |i: usize| (0..m).any(|row| deviation[row] > 0.0 && singular_values.left[(row, i)] != 0.0);
+    DVector::from_fn(
+        m - r,
+        |i, _| if random(r + i) { ROUNDING_BOUND * singular_values.values[r + i].max(least) } else { 0.0 },
+    )
 }
 
 /// AB with rounding errors set to zero: entries up to CANCELLED_FRACTION × the size of the entry's terms + `rounding`.

@@ -43,8 +43,8 @@ impl BackwardInput<'_> {
         for (at, stretch) in self.design.stretches().enumerate() {
             let inputs = if stretch.transition.is_some() { driven } else { 0 };
             let steps = (step, step + stretch.count);
-            let few = if equal_segments < MAX_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
-            let long = stretch.count > few;
+            let most_single_steps = if equal_segments < MAX_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
+            let long = stretch.count > most_single_steps;
             let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.accepts_sums(steps.0..steps.1));
             let segment_of = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
             if let Some(pass) = long.then(summed).flatten() {

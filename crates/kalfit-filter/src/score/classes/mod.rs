@@ -94,7 +94,7 @@ fn is_within_limits(design: &Design, representative_steps: &[usize], wanted: Adj
     design.rows() <= MAX_ROWS && rows + many * n <= MAX_STORED_NUMBERS && many * r * r <= MAX_COVARIANCE_NUMBERS
 }
 
-/// Input of the backward pass with data of zero.
+/// Input of the backward pass with all data zero.
 struct ZeroData {
     start: Vec<f64>,
     inputs: Vec<f64>,

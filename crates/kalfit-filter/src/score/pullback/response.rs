@@ -69,7 +69,7 @@ pub(crate) struct PullbackFactors {
 }
 
 impl PullbackFactors {
-    /// (index into `slots`, factor) of a span.
+    /// Pairs (index into `slots`, factor) of a span.
     #[inline(always)]
     pub(crate) fn factors(&self, (from, to): FactorSpan) -> &[(u32, f64)] {
         &self.factors[from as usize..to as usize]
