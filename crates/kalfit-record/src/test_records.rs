@@ -14,7 +14,7 @@ use kalfit_model::{SparseColumn, Texts};
 /// are in a few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
 ///
 /// ```
-/// # mod kalfit { pub use kalfit_record as record; }
+/// # mod kalfit { pub mod record { pub use kalfit_record::*; } }
 /// use kalfit::record::{TestRecords, TestRow};
 ///
 /// # fn read(json: &str) -> serde_json::Result<()> {
