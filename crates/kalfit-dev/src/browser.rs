@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::places;
+use crate::places::MEASURE;
 
 /// Names that Chromium goes by.
 const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
@@ -140,7 +141,7 @@ fn words(words: &[&str]) -> Vec<OsString> {
 /// The program as the tests have built it, with all that they need, so that nothing is built twice.
 fn program(root: &Path, target: &Path) -> Result<PathBuf, String> {
     let mut cargo = Command::new("cargo");
-    cargo.args(["test", "--quiet", "--locked", "--workspace", "--no-run"]).current_dir(root);
+    cargo.args(["test", "--quiet", "--locked", "--workspace", "--no-run", "--features", MEASURE]).current_dir(root);
     cargo.env("CARGO_TARGET_DIR", target).env("CARGO_INCREMENTAL", "0"); // as the other steps
     done(&mut cargo, "cargo build")?;
     Ok(places::kalfit(target, "debug"))
