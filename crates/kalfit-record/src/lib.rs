@@ -4,6 +4,7 @@ mod along;
 mod applied;
 mod build;
 mod by_group;
+mod constraint;
 mod cut;
 mod datasheet;
 mod diagnosis;
@@ -12,6 +13,7 @@ mod dynamic;
 mod dynamic_ratio;
 mod estimates;
 mod exported;
+mod figure;
 mod group_levels;
 mod levels;
 mod model_check;
@@ -40,6 +42,7 @@ pub use along::{AlongRecord, MeasurementAlong, PhaseAlong, StateAlong, TestAlong
 pub use applied::{AppliedRecord, AppliedSource, Basis, FarGroupRecord, FarRecord, JointRecord, LawRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
+pub use constraint::ConstraintRecord;
 pub use datasheet::{AllanPoint, CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, EntryRecord};
 pub use diagnosis::shortage_notes;
 pub use directions::crossing_notes;
@@ -47,6 +50,7 @@ pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
 pub use estimates::EstimatesRecord;
 pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
+pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
 pub use group_levels::{LevelRecord, UnitRecord};
 pub use levels::{LevelCounts, level_notes};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
@@ -217,26 +221,4 @@ pub struct SolverRecord {
     pub trace: Vec<f64>,
     /// Wall time.
     pub seconds: f64,
-}
-
-/// The cost of one constraint.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ConstraintRecord {
-    /// `mean[a]` or `covariance[a, b]`.
-    pub element: String,
-    /// Phase of the element.
-    pub phase: String,
-    /// Level of groups whose covariance it belongs to; null for the covariance of a phase.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub level: Option<String>,
-    /// Value at which it is fixed.
-    pub value: f64,
-    /// dℓ_max / d value.
-    pub sensitivity: Option<f64>,
-    /// Score (Lagrange multiplier) statistic, χ² with one degree of freedom.
-    pub score_statistic: Option<f64>,
-    /// p-value of the score statistic.
-    pub p_value: Option<f64>,
-    /// Expected change of the element if it were freed.
-    pub expected_change: Option<f64>,
 }
