@@ -3,7 +3,7 @@
 //!
 //! Covariances are formed and factorised whole. Nothing here calls a filter or an estimator.
 
-use kalfit_model::ReductionRef;
+use kalfit_model::{ReductionRef, unpack};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// log N(r; 0, Ω) = -½ (n log 2π + log |Ω| + r'Ω⁻¹r), by Cholesky of Ω scaled to unit diagonal. `residual`: r, n
@@ -35,7 +35,7 @@ impl Linear {
         let p = reduction.data.len();
         Linear {
             residual: DVector::from_column_slice(reduction.data),
-            sensitivity: unpacked(reduction.factor, p),
+            sensitivity: unpack(reduction.factor, p),
             covariance: DMatrix::identity(p, p),
         }
     }
@@ -69,11 +69,6 @@ pub fn marginal(reduction: ReductionRef<'_>, mean: &DVector<f64>, covariance: &D
     assert!(reduction.exact.is_none(), "exact values have another law");
     let half = 0.5 * mean.len() as f64 * std::f64::consts::TAU.ln();
     reduction.constant + half + Linear::of(reduction).log_density(mean, covariance)
-}
-
-/// R, p × p, of the upper triangle that is packed by columns.
-pub fn unpacked(factor: &[f64], p: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
 }
 
 fn cholesky(covariance: DMatrix<f64>) -> Cholesky<f64, Dyn> {

@@ -92,7 +92,7 @@ pub(crate) fn parameters<'t>(table: &'t OutputTable, record: &FitRecord) -> Resu
     listed(table, &QuantityRecord::FIGURES, &record.quantities())
 }
 
-/// What each constraint costs, a row for each constrained element.
+/// Writes the table of constraints, a row for each constrained element.
 pub(crate) fn constraints<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
     listed(table, &ConstraintRecord::FIGURES, &record.constraints)
 }

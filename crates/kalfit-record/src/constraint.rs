@@ -1,4 +1,4 @@
-//! What a constraint costs, as a record.
+//! The record of a constraint: its cost in likelihood and its score test.
 
 use serde::{Deserialize, Serialize};
 

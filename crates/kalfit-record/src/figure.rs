@@ -6,15 +6,15 @@
 pub struct Figure<R> {
     /// Name of the field, in the record and in fit.json.
     pub name: &'static str,
-    /// What the figure is, in the words of the reference of fit.json.
+    /// Meaning of the figure, in the words of the reference of fit.json.
     pub doc: &'static str,
-    /// What its values are.
+    /// Kind of the values.
     pub kind: FigureKind,
-    /// Unit of its values, which decides how many digits people read.
+    /// Unit of the values, which decides how many digits people read.
     pub unit: FigureUnit,
-    /// Name of its column in tables that a fit writes; `None` where it has none.
+    /// Name of the figure's column in tables that a fit writes; `None` where the tables have no such column.
     pub column: Option<&'static str>,
-    /// Heading in the tables of summary and report; `None` where it is not in them.
+    /// Heading in the tables of summary and report; `None` where the figure is not in them.
     pub heading: Option<&'static str>,
     /// A sentence that explains the heading.
     pub sentence: Option<&'static str>,
@@ -22,7 +22,7 @@ pub struct Figure<R> {
     pub get: for<'r> fn(&'r R) -> FigureValue<'r>,
 }
 
-/// What the values of a figure are.
+/// Kind of the values of a figure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FigureKind {
     /// Texts.
@@ -63,7 +63,7 @@ pub enum FigureValue<'r> {
 
 /// Types of fields that are figures.
 pub trait FigureField {
-    /// What the values are.
+    /// Kind of the values.
     const KIND: FigureKind;
 
     /// The value.
@@ -220,7 +220,7 @@ macro_rules! viewed_figures {
                 $view { $($field $(: $crate::figure::only!($entry => figures.$field))?,)* }
             }
 
-            /// Its figures alone.
+            /// The figures, without the other fields of the test.
             pub(crate) fn figures(&self) -> $alone {
                 $alone { $($($field: $crate::figure::only!($entry => self.$field),)?)* }
             }
@@ -232,7 +232,7 @@ macro_rules! viewed_figures {
                 $row { $($field $(: $crate::figure::only!($entry => figures.$field))?,)* }
             }
 
-            /// Its figures alone.
+            /// The figures, without the other fields of the test.
             pub(crate) fn figures(&self) -> $alone {
                 $alone { $($($field: $crate::figure::only!($entry => self.$field),)?)* }
             }

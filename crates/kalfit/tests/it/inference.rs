@@ -9,8 +9,9 @@ use kalfit::model::{
     Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Population, Regression,
 };
 use kalfit::reduce::{Path, Reduction, ReductionRef, Reductions};
-use kalfit_fixtures::dense::{marginal, unpacked};
+use kalfit_fixtures::dense::marginal;
 use kalfit_fixtures::near;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -227,7 +228,7 @@ fn unit(k: usize) -> DMatrix<f64> {
 }
 
 fn weight(estimate: &Estimate, test: ReductionRef<'_>) -> (DMatrix<f64>, DVector<f64>) {
-    let r = unpacked(test.factor, 2);
+    let r = unpack(test.factor, 2);
     let inverse = (DMatrix::identity(2, 2) + &r * &estimate.covariance * r.transpose()).try_inverse().expect("regular");
     let e = DVector::from_column_slice(test.data) - &r * DVector::from_column_slice(&estimate.mean);
     (r.transpose() * &inverse * &r, r.transpose() * inverse * e)

@@ -8,8 +8,9 @@ use kalfit::reduce::{
     Evidence, PhaseReduction, PhasedReducer, PhasedTest, Plain, Reducer, Reduction, Reductions, Terminal,
 };
 use kalfit::{Alpha, Labels};
-use kalfit_fixtures::dense::{Linear, marginal, unpacked};
+use kalfit_fixtures::dense::{Linear, marginal};
 use kalfit_fixtures::near;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::{ProptestConfig, any, prop_assume, proptest};
 use rand::{RngExt, SeedableRng};
@@ -156,7 +157,7 @@ proptest! {
                 data: phase.data.clone(), factor: phase.factor.clone(), constant: phase.constant, ..reduction.clone()
             };
             likelihood += marginal(one.view(), &m, &v);
-            size = size.max(unpacked(&one.factor, q).norm_squared() * v.norm());
+            size = size.max(unpack(&one.factor, q).norm_squared() * v.norm());
             (mean, covariance) = filtered(&one, &m, &v);
         }
         prop_assume!(size < 1e4); // beyond, the covariances of this test lose too many digits
@@ -190,7 +191,7 @@ proptest! {
         let mut estimates = DVector::zeros(n * count);
         let mut carried = (DVector::zeros(n), DMatrix::zeros(n, n)); // x̂_T and P_T of the phase before
         for (i, part) in parts.iter().enumerate() {
-            let r = unpacked(&part.reduction.factor, n);
+            let r = unpack(&part.reduction.factor, n);
             let inverse = r.clone().try_inverse().expect("observable");
             let covariance = &inverse * inverse.transpose(); // P_i = J⁻¹
             let start = &inverse * DVector::from_column_slice(&part.reduction.data); // x̂_0 by least squares
@@ -214,7 +215,7 @@ proptest! {
             }
         }
         let reduction = reduce(&journey);
-        let r = unpacked(&reduction.factor, n * count);
+        let r = unpack(&reduction.factor, n * count);
         let inverse = r.clone().try_inverse().expect("observable");
         near::matrices("(49)", &(&inverse * inverse.transpose()), &band, 1e-7);
         let found = &inverse * DVector::from_column_slice(&reduction.data);
@@ -237,7 +238,7 @@ proptest! {
         let inverse = |matrix: &DMatrix<f64>| matrix.clone().try_inverse().expect("positive definite");
         let c = block(1, 0) * inverse(&block(0, 0)); // (46)
         near::matrices("(46)", &c, &terminal.sensitivity, 1e-7);
-        let r = unpacked(&part.reduction.factor, n);
+        let r = unpack(&part.reduction.factor, n);
         let p = inverse(&(r.transpose() * &r));
         let mut least_squares = DMatrix::zeros(2 * n, 2 * n); // (48)
         least_squares.view_mut((0, 0), (n, n)).copy_from(&p);
@@ -301,7 +302,7 @@ fn block_law(rng: &mut ChaCha8Rng, model: &PhasedModel) -> (DVector<f64>, DMatri
 /// (mean, covariance) of σ given one phase's data and a prior, without inverses of J or of the prior.
 fn filtered(reduction: &Reduction, mean: &DVector<f64>, prior: &DMatrix<f64>) -> (DVector<f64>, DMatrix<f64>) {
     let q = mean.len();
-    let r = unpacked(&reduction.factor, q);
+    let r = unpack(&reduction.factor, q);
     let j = r.transpose() * &r;
     let b = (DMatrix::identity(q, q) + &j * prior).try_inverse().expect("I + JP is regular");
     let rho = &b * (r.transpose() * DVector::from_column_slice(&reduction.data) - &j * mean);
@@ -333,7 +334,7 @@ fn recursion(
             p += &inherited.transition * terminal.covariance() * inherited.transition.transpose();
         }
         likelihood += marginal(piece.reduction.view(), &m, &p);
-        let r = unpacked(&piece.reduction.factor, q);
+        let r = unpack(&piece.reduction.factor, q);
         let j = r.transpose() * &r;
         size = size.max(j.norm() * p.norm());
         let b = (DMatrix::identity(q, q) + &j * &p).try_inverse().expect("I + JP is regular");

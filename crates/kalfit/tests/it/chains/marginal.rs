@@ -4,7 +4,8 @@ use kalfit::estimate::{Combination, Criterion, FitError, Settings, Silent, Stop}
 use kalfit::infer::{NotNested, StdErrors, likelihood_ratio, uncertainty};
 use kalfit::model::{Alpha, CovarianceStructure, MeanStructure};
 use kalfit::reduce::{ChainPhase, Path, Reduction, ReductionRef, Reductions};
-use kalfit_fixtures::dense::{log_density, unpacked};
+use kalfit_fixtures::dense::log_density;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 
 use super::fits::{Phases, by, fit, structure};
@@ -25,7 +26,7 @@ fn data() -> (Recipe, Reductions) {
     };
     // a phase with fewer rows than states has no least-squares estimate
     let observable = |r: &ReductionRef<'_>| {
-        let regular = |phase: &ChainPhase| unpacked(&phase.factor, 2).diagonal().iter().all(|x| x.abs() > 0.3);
+        let regular = |phase: &ChainPhase| unpack(&phase.factor, 2).diagonal().iter().all(|x| x.abs() > 0.3);
         r.chain.expect("made so").phases.iter().all(regular)
     };
     let data = ensemble(&recipe, 2).iter().filter(observable).collect();
@@ -36,7 +37,7 @@ fn data() -> (Recipe, Reductions) {
 fn differences(reduction: ReductionRef<'_>) -> Vec<(DVector<f64>, DMatrix<f64>)> {
     let chain = reduction.chain.expect("made so");
     let solved = |phase: &ChainPhase| {
-        let r = unpacked(&phase.factor, 2);
+        let r = unpack(&phase.factor, 2);
         let inverse = r.try_inverse().expect("observable");
         (&inverse * DVector::from_column_slice(&phase.data), &inverse * inverse.transpose())
     };

@@ -9,7 +9,8 @@ mod single;
 use std::ops::Range;
 
 use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
-use kalfit_fixtures::dense::{Linear, unpacked};
+use kalfit_fixtures::dense::Linear;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -201,7 +202,7 @@ impl Joint {
             }
             (0..phase.own).for_each(|i| big_next[(i, state + i)] += 1.0);
             state += phase.own;
-            let r = unpacked(&phase.factor, q);
+            let r = unpack(&phase.factor, q);
             law.residual.rows_mut(row, q).copy_from(&(DVector::from_column_slice(&phase.data) - &r * &h_next));
             law.sensitivity.view_mut((row, 0), (q, p)).copy_from(&(&r * &big_next));
             noise.view_mut((row, 0), (q, noises)).copy_from(&(&r * &n_next));

@@ -4,7 +4,7 @@ use kalfit::estimate::{Combination, Estimate, Stop};
 use kalfit::infer::{self, Choices};
 use kalfit::model::{CovarianceKind, CovarianceStructure, MeanElement, MeanStructure};
 use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
-use kalfit_fixtures::dense::unpacked;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 
 use super::fits::{Phases, by, fit, kind, matrix};
@@ -57,7 +57,7 @@ fn the_means_of_one_test_do_not_depend_on_the_covariance() {
     let reduction = test();
     let data = &Reductions::from(vec![reduction.clone()]);
     // with as many means as rows of information all of them are met: the estimate solves Rξ = d
-    let r = unpacked(&reduction.factor, 5);
+    let r = unpack(&reduction.factor, 5);
     let expected = r.lu().solve(&DVector::from_column_slice(&reduction.data)).expect("observable over all phases");
     for variance in [0.0, 1e-4, 1.0, 1e6] {
         for way in [Combination::Chain, Combination::Stacked] {

@@ -7,7 +7,7 @@ use kalfit::model::{
 };
 use kalfit::reduce::{Evidence, PhasedTest, Plain, Reduction, StepMatrices};
 use kalfit::{Label, Source, Test};
-use kalfit_fixtures::dense::unpacked;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -354,7 +354,7 @@ impl Journey {
 /// log p(z | ξ) of a reduction.
 pub(crate) fn log_likelihood(reduction: &Reduction, xi: &DVector<f64>) -> f64 {
     let d = DVector::from_column_slice(&reduction.data);
-    reduction.constant - 0.5 * (d - unpacked(&reduction.factor, xi.len()) * xi).norm_squared()
+    reduction.constant - 0.5 * (d - unpack(&reduction.factor, xi.len()) * xi).norm_squared()
 }
 
 /// A random (μ, Σ); Σ is zero, of rank 1, of full rank, or `huge`.

@@ -6,7 +6,7 @@ pub(crate) mod structures;
 use kalfit::estimate::{self, Criterion, Estimate, Settings, Silent, Solver, Structure};
 use kalfit::model::{Alpha, CovarianceStructure, FixedElement, MeanStructure};
 use kalfit::reduce::{Path, Reduction, ReductionRef, Reductions};
-use kalfit_fixtures::dense::unpacked;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -154,7 +154,7 @@ pub(crate) fn dense(data: &Reductions, mean: &MeanStructure, beta: &DVector<f64>
     let (mut information, mut score) = (DMatrix::zeros(q, q), DVector::zeros(q));
     let mut parts = Vec::new();
     for reduction in data {
-        let r = unpacked(reduction.factor, p);
+        let r = unpack(reduction.factor, p);
         let mut x = DMatrix::zeros(p, q);
         x.view_mut((0, 0), b.shape()).copy_from(&b);
         for (c, regression) in mean.regression.iter().enumerate() {

@@ -8,8 +8,9 @@ use kalfit::model::{
 use kalfit::plan::{Quantity, information_lost};
 use kalfit::reduce::{EstimateReducer, FilterRunner, Reducer, ReductionRef, Reductions, lost};
 use kalfit::{Expression, Model, PhasedModel, Population, Source, Test};
-use kalfit_fixtures::dense::{marginal, unpacked};
+use kalfit_fixtures::dense::marginal;
 use kalfit_fixtures::near;
+use kalfit_model::unpack;
 use nalgebra::{DMatrix, DVector};
 
 /// unit, t, g_in, output.
@@ -115,7 +116,7 @@ fn reduced(phase: &Phase) -> (Reductions, f64) {
 }
 
 fn factor(reduction: ReductionRef<'_>) -> DMatrix<f64> {
-    unpacked(reduction.factor, reduction.data.len())
+    unpack(reduction.factor, reduction.data.len())
 }
 
 fn sum_of_information(reductions: &Reductions) -> DMatrix<f64> {
