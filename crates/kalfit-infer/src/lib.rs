@@ -24,6 +24,7 @@ mod knowledge;
 mod law;
 mod levels;
 mod mean_limits;
+pub mod misfit;
 mod observability;
 mod observed;
 mod phases;

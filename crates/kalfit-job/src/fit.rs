@@ -1,6 +1,7 @@
 //! `kalfit fit`.
 
 use kalfit::estimate::Criterion;
+use kalfit::infer::misfit::FittedEnsemble;
 use kalfit::infer::{StdErrors, TestsChoice};
 use kalfit::record::{ParameterRecord, TestGroups};
 use kalfit::{Alpha, FitRecord};
@@ -105,6 +106,11 @@ fn known(
     beside(reductions); // what comes next can have their memory
     if job.innovations {
         innovations::add(&mut record, &mut kept, (spec, &alpha, &given.inputs), &population, work);
+        if let Some(tests) = kept.tests.known() {
+            let model = &spec.model;
+            let of = FittedEnsemble { model, alpha: &alpha, population: &population, tests, grouping: None };
+            innovations::add_misfit(&mut record, &of, work);
+        }
         record.solver.seconds = work.seconds();
     }
     Ok((record, HeldTests::kept(kept.tests.all(), alpha)))

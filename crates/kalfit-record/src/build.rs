@@ -89,6 +89,7 @@ impl FitRecord {
             reason: reason(estimate),
             certificate: certificate(estimate),
             model_check: None,
+            misfit: None,
             solver: solver(estimate, provenance.seconds),
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),

@@ -125,6 +125,10 @@ pub struct InnovationRecord {
     pub count: usize,
     /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
     pub nis: Option<f64>,
+    /// Σ e²/S of innovations made independent of those of other tests of its groups, by the law of the whole model; null
+    /// without levels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whitened_nis: Option<f64>,
     /// Two-sided p-value of `nis`: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the
     /// number of estimated states, which the estimate may have absorbed.
     pub nis_p_value: Option<f64>,

@@ -74,9 +74,20 @@ fn against(record: &FitRecord, finding: &FindingRecord) -> Vec<String> {
             ImprobableKinds { size: false, .. } => vec![PROCESS.to_owned()],
             ImprobableKinds { size: true, whiteness: true } => vec![NOISE_EACH.to_owned(), PROCESS.to_owned()],
         },
+        "misfit" => vec![COMMON.to_owned()],
+        "row" => vec![ROWS.to_owned()],
+        "unlike" => vec![UNLIKE.to_owned()],
+        "normality" => vec![NOT_NORMAL.to_owned()],
         _ => Vec::new(),
     }
 }
+
+const COMMON: &str = "Look at what all tests do at the places listed under Misfit: leave clipped values out (`where`), or add the term \
+                      that the model lacks.";
+const ROWS: &str = "Look at the rows listed under Misfit in the data files; correct them, or leave the cells empty.";
+const UNLIKE: &str = "Look for faults in the tests that are unlike the others of their groups, listed under Misfit.";
+const NOT_NORMAL: &str = "Look at the innovations in the report: a few far values, or noise levels that differ, make them far from \
+                          normal.";
 
 const FREE_NOISE: &str = "Estimate the noise levels instead of fixing them: leave out their values in `[parameters]`.";
 const OTHER_NOISE: &str = "Look at the noise levels and processes of the model: their sizes do not fit the data.";

@@ -46,7 +46,7 @@ pub(super) fn kinds(record: &FitRecord) -> ImprobableKinds {
 
 /// Whether all innovations together are larger or smaller than chance allows.
 pub(super) fn size(record: &FitRecord) -> Ordering {
-    let (n, nis) = sums(&of_tests(record));
+    let (n, nis) = record.overall_innovations();
     overall_size(n, nis, record.free_parameters)
 }
 
@@ -60,7 +60,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let Some(least) = findings.first() else { return String::new() };
     let improbable = findings.iter().take_while(|f| f.adjusted < SEARCH_LEVEL).count();
     let phases: Vec<&str> = record.phases.iter().map(|phase| phase.name.as_str()).collect();
-    let overall = overall(&all, record.free_parameters) + &by_phase(&all, &phases);
+    let overall = overall(record.overall_innovations(), record.free_parameters) + &by_phase(&all, &phases);
     let body = match improbable {
         0 => page.items(&[overall, probable(least, findings.len())]),
         n => {
@@ -91,8 +91,7 @@ fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<ImprobableFigure
 }
 
 /// Size of all innovations together.
-fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
-    let (n, nis) = sums(all);
+fn overall((n, nis): (usize, f64), free: usize) -> String {
     let spread = (2.0 / n.max(1) as f64).sqrt();
     let mean = nis / n.max(1) as f64;
     let verdict = match overall_size(n, nis, free) {
@@ -106,11 +105,6 @@ fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
         FigurePrecision::of(mean, Some(spread)).show(mean),
         plain(spread, 2)
     )
-}
-
-/// Number of all innovations, and their normalised square.
-fn sums(all: &[(&str, &InnovationRecord)]) -> (usize, f64) {
-    (all.iter().map(|(_, found)| found.count).sum(), all.iter().filter_map(|(_, found)| found.nis).sum())
 }
 
 /// The same of each phase that has any, where there are several.
@@ -222,7 +216,7 @@ fn meaning(improbable: &[ImprobableFigure<'_>], all: usize, page: &PageLayout<'_
     }
     let because = because.join("; ");
     format!(
-        "{these} improbable{more} at the 5 % level, after Holm correction for {}: {because}.",
+        "{these} improbable{more} at the 1 % level, after Holm correction for {}: {because}.",
         count(all, "p-value")
     )
 }
