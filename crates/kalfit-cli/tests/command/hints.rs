@@ -174,7 +174,52 @@ fn parts_per_million_without_their_factor() {
     assert!(said.contains(&format!("warning: {asked}")), "{said}");
     let said = shown(&folder.run("fit m.toml d.csv")).replace("\n    ", " ");
     assert!(said.contains("State `slope` is in ppm"), "{said}");
-    folder.write("m.toml", ppm.replace("slope * x", "1e-6 * slope * x").as_bytes());
-    let said = shown(&folder.run("check m.toml"));
-    assert!(!said.contains("warning"), "{said}");
+    // the product of all numbers counts: parts of thousandths, as where a rate in deg/s makes a column in mdeg/s
+    for scaled in [
+        "1e-6 * slope * x",
+        "1e-3 * slope * x",
+        "slope * (x / 1000) * 1e-3",
+        "slope / 1000 * x",
+        "(x - 20) * slope / 1e6",
+    ] {
+        folder.write("m.toml", ppm.replace("slope * x", scaled).as_bytes());
+        let said = shown(&folder.run("check m.toml"));
+        assert!(!said.contains("warning"), "{scaled}: {said}");
+    }
+    for whole in ["1e-6 * slope * (1e6 * x)", "slope * (x - 1e-6)", "2 * slope * x"] {
+        folder.write("m.toml", ppm.replace("slope * x", whole).as_bytes());
+        let said = shown(&folder.run("check m.toml"));
+        assert!(said.contains("warning: state `slope` is in ppm"), "{whole}: {said}");
+    }
+}
+
+#[test]
+fn a_page_has_the_ending_of_a_page() {
+    assert_snapshot!(refused("fit m.toml d.csv --report fit.pdf", &[]), @"");
+    assert_snapshot!(refused("report fit.json --out page.docx", &[("fit.json", "{}")]), @"");
+}
+
+#[test]
+fn a_state_that_is_misspelt() {
+    let misspelt = model("level + slope * x", "levle + slope * x");
+    assert_snapshot!(refused("fit m.toml d.csv", &[("m.toml", &misspelt)]), @"");
+    let parameter = model("noise = 0.1", "noise = \"sigam\"") + "[parameters]\nsigma = 0.1\n";
+    let parameter = parameter.replace("noise = \"sigam\"", "noise = \"sigma + 0 * sigam\"");
+    assert_snapshot!(refused("fit m.toml d.csv", &[("m.toml", &parameter)]), @"");
+}
+
+#[test]
+fn columns_with_blanks_between() {
+    let blanks = DATA.replace(',', "  ");
+    assert_snapshot!(refused("fit m.toml d.txt", &[("d.txt", &blanks)]), @"");
+}
+
+#[test]
+fn a_text_where_a_number_belongs() {
+    let text = DATA.replace(",0,", ",placebo,").replace(",1,", ",drug,");
+    let regression = model("slope * x", "slope") + "[mean.regression]\nlevel = [\"x\"]\n";
+    assert_snapshot!(refused("fit m.toml d.csv", &[("m.toml", &regression), ("d.csv", &text)]), @"");
+    assert_snapshot!(refused("fit m.toml d.csv", &[("d.csv", &text)]), @"");
+    let total = DATA.to_owned() + "c,Total,9\n";
+    assert_snapshot!(refused("fit m.toml d.csv", &[("d.csv", &total)]), @"");
 }
