@@ -134,10 +134,12 @@ fn text_hint(column: &str, found: &str, used_in: &str) -> Option<String> {
             "a regression takes numbers: write a column of 0 and 1 for `{word}`, or give the equation a state with `random = false` \
              times `if({name} == '{word}', 1, 0)` in place of the regression; only a text for missing cells goes into `missing` of `[data]`"
         ))
-    } else {
+    } else if used_in.contains("equation") {
         Some(format!(
             "a text is compared, as in `if({name} == '{word}', 1, 0)`; leave a missing cell empty, or add its text to `missing` of `[data]`"
         ))
+    } else {
+        None
     }
 }
 

@@ -16,9 +16,12 @@ pub(super) struct TwinRows {
     has_others: bool,
     rows: HashSet<u64>,
     values: HashMap<u64, u64>,
+    others: HashSet<u64>,
     pairs: usize,
     /// Rows with the values of one before, but of another row otherwise.
     by_chance: usize,
+    /// Rows that are as one before but for their values: measured again.
+    repeats: usize,
     all: usize,
 }
 
@@ -27,7 +30,8 @@ impl TwinRows {
         let is_measured = |column: usize| model.measurements.iter().any(|own| own.column == column);
         let measured: Vec<bool> = (0..model.columns.len()).map(is_measured).collect();
         let has_others = measured.iter().any(|own| !own);
-        TwinRows { measured, has_others, rows: HashSet::new(), values: HashMap::new(), pairs: 0, by_chance: 0, all: 0 }
+        let (rows, values, others) = (HashSet::new(), HashMap::new(), HashSet::new());
+        TwinRows { measured, has_others, rows, values, others, pairs: 0, by_chance: 0, repeats: 0, all: 0 }
     }
 
     /// The next row of the test.
@@ -44,24 +48,28 @@ impl TwinRows {
             hasher.finish()
         };
         let (row, values, others) = (hash(None), hash(Some(true)), hash(Some(false)));
+        let is_repeat = !self.others.insert(others);
+        let before = self.values.insert(values, others);
         if !self.rows.insert(row) {
             self.pairs += 1;
-        } else if self.values.insert(values, others).is_some_and(|before| before != others) {
-            self.by_chance += 1;
+            return;
         }
+        self.repeats += usize::from(is_repeat);
+        self.by_chance += usize::from(before.is_some_and(|before| before != others));
     }
 
     pub(super) fn end(&mut self) {
         self.rows.clear();
         self.values.clear();
+        self.others.clear();
     }
 
-    /// Rows stand twice, more often than values are equal by chance.
+    /// Rows stand twice, more often than values are equal by chance, or than rows are measured again.
     pub(super) fn note(&self) -> Option<String> {
         let (pairs, all) = (self.pairs, self.all);
-        let (rows, stand) = if pairs == 1 { ("row", "equals") } else { ("rows", "equal") };
-        (pairs > self.by_chance).then(|| {
-            format!("{pairs} of {all} {rows} {stand} another row of the same test in all that is read of them: if they are copies, remove them")
+        let stand = if pairs == 1 { "equals" } else { "equal" };
+        (pairs > self.by_chance.max(self.repeats)).then(|| {
+            format!("{pairs} of {all} rows {stand} another row of the same test in all that is read of them: if they are copies, remove them")
         })
     }
 }
