@@ -46,6 +46,14 @@ pub struct FindingRecord {
     pub text: String,
 }
 
+impl FitRecord {
+    /// Along what innovations correlate, in words: "in time", or "from row to row" where rows are known to have no times.
+    pub fn correlates(&self) -> &'static str {
+        let mut series = self.tests.iter().filter_map(|test| test.innovations?.series.as_deref()).peekable();
+        if series.peek().is_some() && series.all(|series| !series.timed) { "from row to row" } else { "in time" }
+    }
+}
+
 impl ModelCheckRecord {
     /// Checks the requested figures of a record. Nothing is checked without figures of the tests, or where the search
     /// did not converge.
@@ -162,9 +170,9 @@ fn innovations(record: &FitRecord) -> Option<String> {
     tests.dedup();
     let white = improbable.iter().filter(|one| one.2).count();
     let how = match (improbable.len() - white, white) {
-        (_, 0) => "size",
-        (0, _) => "correlation in time",
-        _ => "size or correlation in time",
+        (_, 0) => "size".to_owned(),
+        (0, _) => format!("correlation {}", record.correlates()),
+        _ => format!("size or correlation {}", record.correlates()),
     };
     match tests[..] {
         [] => None,

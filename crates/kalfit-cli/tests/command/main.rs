@@ -39,6 +39,7 @@ mod simulate;
 mod sound;
 mod starts;
 mod sums;
+mod survey;
 mod tables;
 mod terminal;
 mod unbounded;

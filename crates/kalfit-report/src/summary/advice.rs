@@ -71,8 +71,8 @@ fn against(record: &FitRecord, finding: &FindingRecord) -> Vec<String> {
         },
         "innovations" => match innovations::kinds(record) {
             ImprobableKinds { size: true, whiteness: false } => vec![NOISE_EACH.to_owned()],
-            ImprobableKinds { size: false, .. } => vec![PROCESS.to_owned()],
-            ImprobableKinds { size: true, whiteness: true } => vec![NOISE_EACH.to_owned(), PROCESS.to_owned()],
+            ImprobableKinds { size: false, .. } => vec![process(record)],
+            ImprobableKinds { size: true, whiteness: true } => vec![NOISE_EACH.to_owned(), process(record)],
         },
         "misfit" => vec![COMMON.to_owned()],
         "row" => vec![ROWS.to_owned()],
@@ -93,7 +93,14 @@ const FREE_NOISE: &str = "Estimate the noise levels instead of fixing them: leav
 const OTHER_NOISE: &str = "Look at the noise levels and processes of the model: their sizes do not fit the data.";
 const NOISE_EACH: &str = "Let noise levels differ between tests (`per = \"test\"`, or `per` a column), or look for faults in the \
                           tests named under Innovations.";
-const PROCESS: &str = "Add a process for what is correlated in time, such as a random walk or a Gauss-Markov state, or another one beside it.";
+/// A process, in continuous time only where there are times.
+fn process(record: &FitRecord) -> String {
+    let correlates = record.correlates();
+    let other = if correlates == "in time" { "a Gauss-Markov state" } else { "a state with `next`" };
+    format!(
+        "Add a process for what is correlated {correlates}, such as a random walk or {other}, or another one beside it."
+    )
+}
 
 /// `test A` and `it`, `tests A, B and C` and `them`.
 fn named(ids: &[&str]) -> (String, &'static str) {

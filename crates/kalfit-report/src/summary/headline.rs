@@ -67,6 +67,10 @@ pub(crate) fn verdict(record: &FitRecord) -> String {
             "Not converged: {reason}. The figures below are where the solver stopped, not a maximum of the likelihood."
         );
     }
+    if record.data.observations == 0 && record.log_likelihood_kind != "estimates" {
+        return "Nothing was estimated: no row has a value of any measurement, and every figure is where the search began."
+            .to_owned();
+    }
     let what = if record.criterion == "reml" { "restricted maximum-likelihood" } else { "maximum-likelihood" };
     let rounding = record.certificate.rounding;
     let but = match rounding > NOTABLE {

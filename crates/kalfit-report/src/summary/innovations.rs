@@ -61,11 +61,13 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let improbable = findings.iter().take_while(|f| f.adjusted < SEARCH_LEVEL).count();
     let phases: Vec<&str> = record.phases.iter().map(|phase| phase.name.as_str()).collect();
     let overall = overall(record.overall_innovations(), record.free_parameters) + &by_phase(&all, &phases);
+    let correlates = record.correlates();
     let body = match improbable {
-        0 => page.items(&[overall, probable(least, findings.len())]),
+        0 => page.items(&[overall, probable(least, findings.len(), correlates)]),
         n => {
             let (found, all) = (&findings[..n], findings.len());
-            shown(found, phases.len() > 1, page) + &page.items(&[meaning(found, all, page), overall])
+            shown(found, (phases.len() > 1, correlates), page)
+                + &page.items(&[meaning(found, (all, correlates), page), overall])
         }
     };
     page.section("Innovations (measured minus predicted)", &body)
@@ -125,10 +127,11 @@ fn by_phase(all: &[(&str, &InnovationRecord)], phases: &[&str]) -> String {
     if phases.len() > 1 && !each.is_empty() { format!(" By phase: {}.", each.join(", ")) } else { String::new() }
 }
 
-fn probable(least: &ImprobableFigure<'_>, all: usize) -> String {
+fn probable(least: &ImprobableFigure<'_>, all: usize, correlates: &str) -> String {
     let what = match least.of {
-        InnovationFigure::Size(_) => "size",
-        InnovationFigure::Whiteness(_) => "time correlation",
+        InnovationFigure::Size(_) => "size".to_owned(),
+        InnovationFigure::Whiteness(_) if correlates == "in time" => "time correlation".to_owned(),
+        InnovationFigure::Whiteness(_) => format!("correlation {correlates}"),
     };
     let holm = match all {
         1 => String::new(),
@@ -141,19 +144,21 @@ fn probable(least: &ImprobableFigure<'_>, all: usize) -> String {
     )
 }
 
-fn shown(improbable: &[ImprobableFigure<'_>], phased: bool, page: &PageLayout<'_>) -> String {
+fn shown(improbable: &[ImprobableFigure<'_>], (phased, correlates): (bool, &str), page: &PageLayout<'_>) -> String {
     let rows = &improbable[..improbable.len().min(page.rows(MOST_ROWS))];
-    let figures = |of: fn(&InnovationFigure<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
+    let figures =
+        |of: &dyn Fn(&InnovationFigure<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
     let mut columns = vec![
         TextColumn::new("test", ColumnSide::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
-        TextColumn::new("what", ColumnSide::Left, figures(|of| of.words().to_owned())),
-        TextColumn::new("found", ColumnSide::Right, figures(|of| of.found())),
-        TextColumn::new("expected", ColumnSide::Right, figures(|of| of.expected())),
+        TextColumn::new("what", ColumnSide::Left, figures(&|of| of.words(correlates))),
+        TextColumn::new("found", ColumnSide::Right, figures(&|of| of.found())),
+        TextColumn::new("expected", ColumnSide::Right, figures(&|of| of.expected())),
         TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
         TextColumn::new("Holm", ColumnSide::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
     ];
     if phased {
-        columns.insert(1, TextColumn::new("most in", ColumnSide::Left, figures(|of| clean(of.phase().unwrap_or("-")))));
+        columns
+            .insert(1, TextColumn::new("most in", ColumnSide::Left, figures(&|of| clean(of.phase().unwrap_or("-")))));
     }
     page.table(&columns)
 }
@@ -170,13 +175,13 @@ impl InnovationFigure<'_> {
         known.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, phase)| phase)
     }
 
-    fn words(&self) -> &'static str {
+    fn words(&self, correlates: &str) -> String {
         match self {
             InnovationFigure::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => {
-                "smaller than modelled"
+                "smaller than modelled".to_owned()
             }
-            InnovationFigure::Size(_) => "larger than modelled",
-            InnovationFigure::Whiteness(_) => "correlated in time",
+            InnovationFigure::Size(_) => "larger than modelled".to_owned(),
+            InnovationFigure::Whiteness(_) => format!("correlated {correlates}"),
         }
     }
 
@@ -200,7 +205,7 @@ impl InnovationFigure<'_> {
 }
 
 /// What to make of it.
-fn meaning(improbable: &[ImprobableFigure<'_>], all: usize, page: &PageLayout<'_>) -> String {
+fn meaning(improbable: &[ImprobableFigure<'_>], (all, correlates): (usize, &str), page: &PageLayout<'_>) -> String {
     let more = match improbable.len().saturating_sub(page.rows(MOST_ROWS)) {
         0 => String::new(),
         n => format!(" (and {n} more)"),
@@ -209,10 +214,11 @@ fn meaning(improbable: &[ImprobableFigure<'_>], all: usize, page: &PageLayout<'_
     let any = |of: fn(&InnovationFigure<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
     let mut because = Vec::new();
     if any(|of| matches!(of, InnovationFigure::Size(_))) {
-        because.push("a size that differs from the model suggests other noise levels, or faults in the test");
+        because
+            .push("a size that differs from the model suggests other noise levels, or faults in the test".to_owned());
     }
     if any(|of| matches!(of, InnovationFigure::Whiteness(_))) {
-        because.push("correlation in time suggests a missing process, such as a drift");
+        because.push(format!("correlation {correlates} suggests a missing process, such as a drift"));
     }
     let because = because.join("; ");
     format!(
