@@ -25,6 +25,7 @@ mod law;
 mod levels;
 mod mean_limits;
 pub mod misfit;
+mod mean_slopes;
 mod observability;
 mod observed;
 mod phases;
@@ -191,10 +192,13 @@ pub(crate) fn inferred(
         DeletionChoice::None => false,
     };
     let grouped = estimate.grouping().is_some();
-    let (posteriors, groups) = match each {
+    let (posteriors, mut groups) = match each {
         true => each::estimated(estimate, reductions),
         false => (Posteriors::default(), Vec::new()),
     };
+    if let (Some(estimates), Some(innermost)) = (&estimates, groups.first_mut()) {
+        mean_slopes::add(estimate, &evidence, estimates, innermost);
+    }
     let (deletions, group_deletions) = match computes_deletions {
         true if grouped => levels::deletions(estimate, &evidence, progress).unzip(),
         true => (deletions_while(estimate, reductions, progress), None),

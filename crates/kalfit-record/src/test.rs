@@ -173,7 +173,7 @@ pub struct WhitenessRecord {
 /// The fit without one test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DeletionRecord {
-    /// log p of the test's measurements at the fit without it: its predictive density.
+    /// log p of the test's measurements at the fit without it, with parameters from all tests: its predictive density.
     pub log_density: f64,
     /// Standardised squared distance from the population estimated from the other tests.
     pub distance: Option<f64>,

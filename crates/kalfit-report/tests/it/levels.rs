@@ -30,6 +30,7 @@ fn group(level: &str, id: &[&str], p_value: f64) -> UnitRecord {
         mean: vec![1.0, 2.0],
         covariance: identity(),
         follows: None,
+        by_estimates: None,
         distance: Some(-2.0 * p_value.ln()),
         degrees_of_freedom: 2,
         p_value: Some(p_value),
