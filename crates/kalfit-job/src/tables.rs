@@ -87,6 +87,7 @@ pub(crate) fn constraints<'t>(table: &'t OutputTable, record: &FitRecord) -> Res
     let mut head = columns(["element", "phase", "level"], CellKind::Text);
     let numbers = ["value", "sensitivity", "score_statistic", "p_value", "expected_change"];
     head.extend(columns(numbers, CellKind::Number));
+    head.extend(columns(["likelihood_ratio", "likelihood_ratio_p_value"], CellKind::Number));
     let all = &record.constraints;
     table.write(&head, |writer| all.iter().try_for_each(|own| writer.write(constraint(own))).map_err(table.failed()))
 }
@@ -101,6 +102,8 @@ fn constraint(own: &ConstraintRecord) -> Vec<TableCell<'_>> {
         number(own.score_statistic),
         number(own.p_value),
         number(own.expected_change),
+        number(own.likelihood_ratio),
+        number(own.likelihood_ratio_p_value),
     ]
 }
 

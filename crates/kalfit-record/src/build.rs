@@ -221,6 +221,8 @@ fn constraint(cut: &BlockCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord
         score_statistic: sensitivity.statistic,
         p_value: sensitivity.p_value,
         expected_change: sensitivity.expected_change,
+        likelihood_ratio: sensitivity.ratio,
+        likelihood_ratio_p_value: sensitivity.ratio_p_value,
     }
 }
 

@@ -238,10 +238,17 @@ pub struct ConstraintRecord {
     pub value: f64,
     /// dℓ_max / d value.
     pub sensitivity: Option<f64>,
-    /// Score (Lagrange multiplier) statistic, χ² with one degree of freedom.
+    /// Score (Lagrange multiplier) statistic from the expected information, χ² with one degree of freedom.
     pub score_statistic: Option<f64>,
     /// p-value of the score statistic.
     pub p_value: Option<f64>,
-    /// Expected change of the element if it were freed.
+    /// Expected change of the element if it were freed, to first order, as far as Σ stays positive semidefinite.
     pub expected_change: Option<f64>,
+    /// Likelihood ratio -2 log λ of a fit with only this element freed, for constraints that the score tests reject at
+    /// the 5 % level after Bonferroni correction; where a fit at the same dynamic parameters decides, a lower bound.
+    #[serde(default)]
+    pub likelihood_ratio: Option<f64>,
+    /// p-value of the likelihood ratio.
+    #[serde(default)]
+    pub likelihood_ratio_p_value: Option<f64>,
 }

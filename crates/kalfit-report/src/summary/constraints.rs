@@ -12,6 +12,8 @@ use crate::words::{clean, list};
 const MOST_ROWS: usize = 20;
 /// Level at which the data are said to speak against a constraint.
 const LEVEL: f64 = 0.05;
+/// Constraints that a remark names.
+const MOST_NAMED: usize = 5;
 
 pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     if record.constraints.is_empty() {
@@ -26,13 +28,17 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         rows.iter().map(|&row| of(row).map_or_else(|| "-".to_owned(), |x| plain(x, digits))).collect()
     };
     let p_values = rows.iter().map(|r| r.p_value.map_or_else(|| "-".to_owned(), probability)).collect();
-    let columns = [
+    let mut columns = vec![
         TextColumn::new("element", ColumnSide::Left, rows.iter().map(|r| name(record, r)).collect()),
         TextColumn::new("held at", ColumnSide::Right, figures(|r| Some(r.value), DIGITS)),
         TextColumn::new("dℓ/dvalue", ColumnSide::Right, figures(|r| r.sensitivity, 3)),
         TextColumn::new("p-value", ColumnSide::Right, p_values),
         TextColumn::new("if freed", ColumnSide::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
     ];
+    if rows.iter().any(|row| row.likelihood_ratio_p_value.is_some()) {
+        let p_values = rows.iter().map(|r| r.likelihood_ratio_p_value.map_or_else(|| "-".to_owned(), probability));
+        columns.insert(4, TextColumn::new("p of refit", ColumnSide::Right, p_values.collect()));
+    }
     let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints (score test of each one separately)", &body)
 }
@@ -55,16 +61,35 @@ fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
         ));
     }
     let tested = record.constraints.iter().filter(|c| c.p_value.is_some()).count();
-    let against: Vec<String> = record
-        .constraints
-        .iter()
-        .filter(|c| c.p_value.is_some_and(|p| p * (tested as f64) < LEVEL))
-        .map(|c| clean(&name(record, c)))
-        .collect();
+    let is_small = |p: f64| p * (tested as f64) < LEVEL;
+    let rejected = |c: &&ConstraintRecord| c.p_value.is_some_and(is_small);
+    let named = |which: &dyn Fn(&ConstraintRecord) -> bool| -> Vec<String> {
+        let all = record.constraints.iter().filter(rejected).filter(|c| which(c));
+        all.map(|c| clean(&name(record, c))).collect()
+    };
+    let against = named(&|c| c.likelihood_ratio_p_value.is_some_and(is_small));
+    let unconfirmed = named(&|c| c.likelihood_ratio_p_value.is_some_and(|p| !is_small(p)));
+    let alone = named(&|c| c.likelihood_ratio_p_value.is_none());
     let counted = if tested > 1 { format!(", after Bonferroni correction for {tested} tests") } else { String::new() };
     if !against.is_empty() {
-        remarks.push(format!("The data contradict the constraint on {} (5 % level{counted}).", list(&against, 5)));
-    } else if tested > 0 {
+        remarks.push(format!(
+            "The data contradict the constraint on {} (5 % level{counted}).",
+            list(&against, MOST_NAMED)
+        ));
+    }
+    if !unconfirmed.is_empty() {
+        remarks.push(format!(
+            "The score test rejects the constraint on {}, but the likelihood ratio of a fit without it does not (5 % level{counted}).",
+            list(&unconfirmed, MOST_NAMED)
+        ));
+    }
+    if !alone.is_empty() {
+        remarks.push(format!(
+            "The score test rejects the constraint on {} (5 % level{counted}); no fit without it confirms this.",
+            list(&alone, MOST_NAMED)
+        ));
+    }
+    if tested > 0 && against.is_empty() && unconfirmed.is_empty() && alone.is_empty() {
         let which = if tested == 1 { "the constraint" } else { "any of them" };
         remarks.push(format!("The data do not contradict {which} (5 % level{counted})."));
     }

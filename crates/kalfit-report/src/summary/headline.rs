@@ -12,6 +12,9 @@ use crate::words::{capital, clean, count, list, sentence};
 pub(crate) const OF_ESTIMATES: &str = "This log-likelihood is that of the filters' estimates, not of the measurements. Compare it \
                                        only with fits to the same estimates.";
 
+/// What one test alone cannot show.
+const ONE_TEST: &str = "This is one test alone: it shows nothing of how tests differ.";
+
 /// Rounding errors above this many standard errors are told.
 const NOTABLE: f64 = 1e-6;
 
@@ -25,6 +28,9 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         text.push_str(&(verdicts(record, page) + "\n"));
     }
     text.push_str(&page.paragraph(&data(&record.data)));
+    if record.data.tests == 1 {
+        text.push_str(&page.paragraph(ONE_TEST));
+    }
     text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
     text.extend(places::counted(record).iter().map(|sentence| page.paragraph(sentence)));
     text

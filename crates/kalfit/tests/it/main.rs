@@ -3,6 +3,7 @@
 mod boundary_laws;
 mod certified;
 mod chains;
+mod constraints;
 mod dense;
 mod dynamic_record;
 mod exact;
