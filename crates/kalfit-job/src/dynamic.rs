@@ -81,8 +81,7 @@ pub(crate) fn fit(
         innovations::add_of(&mut record, at, &tests, work);
         let grouping = fit.estimate.grouping().map(|grouping| &**grouping);
         let population = Population::from(&fit.estimate);
-        let of =
-            FittedEnsemble { model, alpha: &fit.alpha, population: &population, tests: &tests, grouping };
+        let of = FittedEnsemble { model, alpha: &fit.alpha, population: &population, tests: &tests, grouping };
         innovations::add_misfit(&mut record, &of, work);
         record.solver.seconds = work.seconds();
     }
@@ -108,13 +107,8 @@ pub(crate) fn known(
     lost::add(&mut record, (&spec.model, alpha, &together), &reductions, (tests, reading));
     if job.innovations {
         innovations::add_of(&mut record, (&spec.model, alpha, &together), tests, work);
-        let of = FittedEnsemble {
-            model: &spec.model,
-            alpha,
-            population: &population,
-            tests,
-            grouping: grouping.as_deref(),
-        };
+        let of =
+            FittedEnsemble { model: &spec.model, alpha, population: &population, tests, grouping: grouping.as_deref() };
         innovations::add_misfit(&mut record, &of, work);
         record.solver.seconds = work.seconds();
     }

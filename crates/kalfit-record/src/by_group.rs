@@ -151,7 +151,11 @@ impl FitRecord {
 
 impl GroupRecord {
     /// `in_levels`: the tests share effects of levels, so that their distances are not independent.
-    fn of<'a>(in_levels: bool, group: Option<&String>, tests: impl ExactSizeIterator<Item = TestRecord<'a>> + Clone) -> GroupRecord {
+    fn of<'a>(
+        in_levels: bool,
+        group: Option<&String>,
+        tests: impl ExactSizeIterator<Item = TestRecord<'a>> + Clone,
+    ) -> GroupRecord {
         let figures = || tests.clone().filter_map(|test| test.innovations);
         let innovations: usize = figures().map(|figures| figures.count).sum();
         let nis: f64 = figures().filter_map(|figures| figures.whitened_nis.or(figures.nis)).sum();

@@ -39,10 +39,7 @@ pub(super) struct UnitColumns {
 
 impl<'a> Columns<'a> {
     /// Residuals alone, without states, regressors and terms.
-    pub(super) fn residuals_alone(
-        model: &'a PhasedModel,
-        of: &FittedEnsemble<'_>,
-    ) -> Result<Columns<'a>, ReduceError> {
+    pub(super) fn residuals_alone(model: &'a PhasedModel, of: &FittedEnsemble<'_>) -> Result<Columns<'a>, ReduceError> {
         let within = within_tests(of.population, model.dimension());
         let base = InnovationFilter::new(model, of.alpha, &within)?;
         let basis = DMatrix::zeros(0, 0);

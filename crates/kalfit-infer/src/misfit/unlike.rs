@@ -141,7 +141,10 @@ impl Message {
     /// Without the effect of the group with this root.
     fn without(self, root: &DMatrix<f64>) -> Message {
         let change = &self.information * self.gain(root);
-        Message { information: &self.information - &change * &self.information, score: &self.score - change * &self.score }
+        Message {
+            information: &self.information - &change * &self.information,
+            score: &self.score - change * &self.score,
+        }
     }
 
     fn posterior(
@@ -154,13 +157,7 @@ impl Message {
         (&kept * mean + &gain * &self.score, &gain + &kept * variance * kept.transpose())
     }
 
-    fn deviation(
-        &self,
-        id: &TestId,
-        mean: &DVector<f64>,
-        variance: &DMatrix<f64>,
-        free: usize,
-    ) -> Option<UnlikeTest> {
+    fn deviation(&self, id: &TestId, mean: &DVector<f64>, variance: &DMatrix<f64>, free: usize) -> Option<UnlikeTest> {
         let score = &self.score - &self.information * mean;
         let information = &self.information - &self.information * variance * &self.information;
         let size = sizes(&self.information);
@@ -174,7 +171,8 @@ impl Message {
         let (mut looked, mut largest) = (0_u32, None::<(usize, f64)>);
         for i in states {
             looked += 1;
-            largest = Some((i, z(i))).filter(|(_, z)| largest.is_none_or(|(_, other)| z.abs() > other.abs())).or(largest);
+            largest =
+                Some((i, z(i))).filter(|(_, z)| largest.is_none_or(|(_, other)| z.abs() > other.abs())).or(largest);
         }
         let (state, deviation) = largest?;
         let p_value = (tail(deviation * deviation, free) * f64::from(looked)).min(1.0);

@@ -59,7 +59,12 @@ impl LargeInnovations {
     }
 
     /// The measurement of each of these tests that contradicts the others most.
-    pub(super) fn wrong(mut self, filter: &InnovationFilter, model: &PhasedModel, tests: &[PhasedTest]) -> Vec<WrongRow> {
+    pub(super) fn wrong(
+        mut self,
+        filter: &InnovationFilter,
+        model: &PhasedModel,
+        tests: &[PhasedTest],
+    ) -> Vec<WrongRow> {
         self.0.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.to_string().cmp(&b.1.to_string())));
         self.0.truncate(MAX_TESTS);
         let test = |id: &TestId| tests.iter().find(|test| test.id == *id);

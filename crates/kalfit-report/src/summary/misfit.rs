@@ -88,14 +88,21 @@ fn wrong_rows(misfit: &MisfitRecord, page: &PageLayout<'_>) -> String {
     let columns = [
         TextColumn::new("test", ColumnSide::Left, cells(&|row| clean(&row.test))),
         TextColumn::new("row", ColumnSide::Right, cells(&|row| row.row.to_string())),
-        TextColumn::new("time", ColumnSide::Right, cells(&|row| row.time.map_or_else(|| "-".to_owned(), |t| plain(t, 6)))),
+        TextColumn::new(
+            "time",
+            ColumnSide::Right,
+            cells(&|row| row.time.map_or_else(|| "-".to_owned(), |t| plain(t, 6))),
+        ),
         TextColumn::new("measurement", ColumnSide::Left, cells(&|row| clean(&row.measurement))),
-        TextColumn::new("deviation", ColumnSide::Right, cells(&|row| {
-            format!("{} ± {}", plain(row.deviation, 3), plain(row.std_dev, 2))
-        })),
+        TextColumn::new(
+            "deviation",
+            ColumnSide::Right,
+            cells(&|row| format!("{} ± {}", plain(row.deviation, 3), plain(row.std_dev, 2))),
+        ),
         TextColumn::new("p, all rows", ColumnSide::Right, cells(&|row| probability(row.adjusted_p_value))),
     ];
-    let line = "Each of these values contradicts all other values of its test; at most one of a test is listed.".to_owned();
+    let line =
+        "Each of these values contradicts all other values of its test; at most one of a test is listed.".to_owned();
     page.table(&columns) + &page.items(&[line])
 }
 
