@@ -17,6 +17,7 @@ mod linear;
 mod long_records;
 mod mean_limits;
 mod meta_analysis;
+mod misfit;
 mod observability;
 mod passes;
 mod phased;
