@@ -3,7 +3,10 @@
 use std::fs::File;
 
 use kalfit::FitRecord;
-use kalfit::record::{ConstraintRecord, PosteriorRecord, QuantityRecord, TestRecord};
+use kalfit::record::{
+    ConstraintRecord, DeletionRecord, Figure, FigureKind, FigureValue, InnovationRecord, PosteriorRecord,
+    QuantityRecord, TestRecord, WhitenessRecord,
+};
 use kalfit_data::{CellKind, TableCell};
 
 use crate::failure::Failure;
@@ -38,10 +41,6 @@ pub fn fit_table(record: &FitRecord, which: FitTableKind) -> Result<File, Failur
 
 type TableColumns = Vec<(String, CellKind)>;
 
-fn columns<const N: usize>(names: [&str; N], kind: CellKind) -> TableColumns {
-    names.map(|name| (name.to_owned(), kind)).to_vec()
-}
-
 fn text(text: Option<&String>) -> TableCell<'_> {
     text.map_or(TableCell::Missing, |text| TableCell::Text(text))
 }
@@ -50,61 +49,52 @@ fn number(x: Option<f64>) -> TableCell<'static> {
     x.map_or(TableCell::Missing, TableCell::Number)
 }
 
-fn counted(n: Option<usize>) -> TableCell<'static> {
-    n.map_or(TableCell::Missing, TableCell::Count)
+/// A column of a table and its cell in one row.
+struct ColumnCell<'r> {
+    name: &'static str,
+    kind: CellKind,
+    cell: TableCell<'r>,
+}
+
+/// The columns of figures of a record; without a record the cells are missing.
+fn figures<'r, R>(figures: &[Figure<R>], record: Option<&'r R>) -> impl Iterator<Item = ColumnCell<'r>> {
+    figures.iter().filter_map(move |figure| {
+        let kind = match figure.kind {
+            FigureKind::Text => CellKind::Text,
+            FigureKind::Number => CellKind::Number,
+            FigureKind::Count => CellKind::Count,
+        };
+        let cell = match record.map_or(FigureValue::Missing, |record| figure.of(record)) {
+            FigureValue::Text(text) => TableCell::Text(text),
+            FigureValue::Number(x) => TableCell::Number(x),
+            FigureValue::Count(n) => TableCell::Count(n),
+            FigureValue::Missing => TableCell::Missing,
+        };
+        Some(ColumnCell { name: figure.column?, kind, cell })
+    })
+}
+
+/// Names and kinds of columns.
+fn head<'r>(columns: impl IntoIterator<Item = ColumnCell<'r>>) -> TableColumns {
+    columns.into_iter().map(|column| (column.name.to_owned(), column.kind)).collect()
+}
+
+/// A table with a row for each record and a column for each figure.
+fn listed<'t, R>(table: &'t OutputTable, list: &[Figure<R>], records: &[R]) -> Result<PendingFile<'t>, Failure> {
+    let row = |record| -> Vec<TableCell<'_>> { figures(list, Some(record)).map(|column| column.cell).collect() };
+    table.write(&head(figures(list, None)), |writer| {
+        records.iter().try_for_each(|record| writer.write(row(record))).map_err(table.failed())
+    })
 }
 
 /// Means, spreads, correlations and dynamic parameters, a row for each number.
 pub(crate) fn parameters<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
-    let mut head =
-        columns(["name", "kind", "phase", "level", "state", "other_state", "column", "unit"], CellKind::Text);
-    head.extend(columns(["estimate", "std_error", "lower", "upper"], CellKind::Number));
-    head.extend(columns(["status"], CellKind::Text));
-    let all = record.quantities();
-    table.write(&head, |writer| all.iter().try_for_each(|own| writer.write(quantity(own))).map_err(table.failed()))
-}
-
-fn quantity(own: &QuantityRecord) -> Vec<TableCell<'_>> {
-    vec![
-        TableCell::Text(&own.name),
-        TableCell::Text(&own.kind),
-        text(own.phase.as_ref()),
-        text(own.level.as_ref()),
-        text(own.state.as_ref()),
-        text(own.other_state.as_ref()),
-        text(own.column.as_ref()),
-        text(own.unit.as_ref()),
-        number(own.estimate),
-        number(own.std_error),
-        number(own.lower),
-        number(own.upper),
-        TableCell::Text(&own.status),
-    ]
+    listed(table, &QuantityRecord::FIGURES, &record.quantities())
 }
 
 /// What each constraint costs, a row for each constrained element.
 pub(crate) fn constraints<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
-    let mut head = columns(["element", "phase", "level"], CellKind::Text);
-    let numbers = ["value", "sensitivity", "score_statistic", "p_value", "expected_change"];
-    head.extend(columns(numbers, CellKind::Number));
-    head.extend(columns(["likelihood_ratio", "likelihood_ratio_p_value"], CellKind::Number));
-    let all = &record.constraints;
-    table.write(&head, |writer| all.iter().try_for_each(|own| writer.write(constraint(own))).map_err(table.failed()))
-}
-
-fn constraint(own: &ConstraintRecord) -> Vec<TableCell<'_>> {
-    vec![
-        TableCell::Text(&own.element),
-        TableCell::Text(&own.phase),
-        text(own.level.as_ref()),
-        TableCell::Number(own.value),
-        number(own.sensitivity),
-        number(own.score_statistic),
-        number(own.p_value),
-        number(own.expected_change),
-        number(own.likelihood_ratio),
-        number(own.likelihood_ratio_p_value),
-    ]
+    listed(table, &ConstraintRecord::FIGURES, &record.constraints)
 }
 
 /// What each test says: a row for each of its phases.
@@ -113,7 +103,7 @@ pub(crate) fn tests<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<Pe
     table.write(&shape.head(), |writer| {
         for test in record.tests.iter() {
             for phase in test.phases.iter() {
-                writer.write(shape.row(test, phase)).map_err(table.failed())?;
+                writer.write(shape.row(&test, phase)).map_err(table.failed())?;
             }
         }
         Ok(())
@@ -129,27 +119,18 @@ struct TestTableColumns<'a> {
     states: Vec<&'a str>,
 }
 
-/// Columns that every such table has, after those of groups.
-const OF_TEST: [(&str, CellKind); 18] = [
-    ("phase", CellKind::Text),
-    ("log_likelihood", CellKind::Number),
-    ("observations", CellKind::Count),
-    ("steps", CellKind::Count),
-    ("design_class", CellKind::Count),
-    ("distance", CellKind::Number),
-    ("degrees_of_freedom", CellKind::Count),
-    ("p_value", CellKind::Number),
-    ("nis", CellKind::Number),
-    ("nis_p_value", CellKind::Number),
-    ("innovations_mean", CellKind::Number),
-    ("whiteness", CellKind::Number),
-    ("whiteness_degrees_of_freedom", CellKind::Count),
-    ("whiteness_p_value", CellKind::Number),
-    ("log_density_without", CellKind::Number),
-    ("distance_without", CellKind::Number),
-    ("p_value_without", CellKind::Number),
-    ("displacement", CellKind::Number),
-];
+/// Columns that every table of tests has, after those of groups: the phase and the figures of the test, of its innovations
+/// and of the fit without it.
+fn of_test<'r>(row: Option<(&'r TestRecord<'r>, PosteriorRecord<'r>)>) -> impl Iterator<Item = ColumnCell<'r>> {
+    let (test, phase) = row.unzip();
+    let seen = test.and_then(|test| test.innovations);
+    let phase = phase.map_or(TableCell::Missing, |phase| TableCell::Text(phase.name));
+    std::iter::once(ColumnCell { name: "phase", kind: CellKind::Text, cell: phase })
+        .chain(figures(&TestRecord::FIGURES, test))
+        .chain(figures(&InnovationRecord::FIGURES, seen))
+        .chain(figures(&WhitenessRecord::FIGURES, seen.and_then(|own| own.whiteness.as_ref())))
+        .chain(figures(&DeletionRecord::FIGURES, test.and_then(|test| test.deletion)))
+}
 
 impl<'a> TestTableColumns<'a> {
     fn of(record: &'a FitRecord) -> TestTableColumns<'a> {
@@ -164,45 +145,25 @@ impl<'a> TestTableColumns<'a> {
     }
 
     fn head(&self) -> TableColumns {
-        let taken = |name: &str| name == "test" || OF_TEST.iter().any(|(other, _)| *other == name);
+        let of_test = head(of_test(None));
+        let taken = |name: &str| name == "test" || of_test.iter().any(|(other, _)| other == name);
         // two columns of one name would be one too many
         let free = |name: &str| if taken(name) { format!("level[{name}]") } else { name.to_owned() };
-        let mut head = columns(["test"], CellKind::Text);
+        let mut head = vec![("test".to_owned(), CellKind::Text)];
         head.extend(self.levels.iter().map(|name| (free(name), CellKind::Text)));
         head.extend(self.record.group_column.iter().map(|name| (format!("group[{name}]"), CellKind::Text)));
-        head.extend(OF_TEST.map(|(name, kind)| (name.to_owned(), kind)));
+        head.extend(of_test);
         for what in ["mean", "std_dev"] {
             head.extend(self.states.iter().map(|state| (format!("{what}[{state}]"), CellKind::Number)));
         }
         head
     }
 
-    fn row<'r>(&self, test: TestRecord<'r>, phase: PosteriorRecord<'r>) -> Vec<TableCell<'r>> {
+    fn row<'r>(&self, test: &'r TestRecord<'r>, phase: PosteriorRecord<'r>) -> Vec<TableCell<'r>> {
         let mut cells = vec![TableCell::Text(test.id)];
         cells.extend((0..self.levels.len()).map(|level| text(test.groups.get(level))));
         cells.extend(self.record.group_column.iter().map(|_| text(test.group)));
-        let (seen, without) = (test.innovations, test.deletion);
-        let white = seen.and_then(|own| own.whiteness.as_ref());
-        cells.extend([
-            TableCell::Text(phase.name),
-            TableCell::Number(test.log_likelihood),
-            TableCell::Count(test.observations),
-            counted(test.steps),
-            counted(test.design_class),
-            number(test.distance),
-            TableCell::Count(test.degrees_of_freedom),
-            number(test.p_value),
-            number(seen.and_then(|own| own.nis)),
-            number(seen.and_then(|own| own.nis_p_value)),
-            number(seen.and_then(|own| own.mean)),
-            number(white.map(|own| own.statistic)),
-            counted(white.map(|own| own.degrees_of_freedom)),
-            number(white.map(|own| own.p_value)),
-            number(without.map(|own| own.log_density)),
-            number(without.and_then(|own| own.distance)),
-            number(without.and_then(|own| own.p_value)),
-            number(without.map(|own| own.displacement)),
-        ]);
+        cells.extend(of_test(Some((test, phase))).map(|column| column.cell));
         let own = self.record.phases.iter().find(|own| own.name == phase.name);
         let place = |state: &str| own.and_then(|own| own.states.iter().position(|other| other == state));
         let deviation = |i: usize| Some(phase.covariance.rows().nth(i)?.get(i)?.max(0.0).sqrt());
@@ -211,5 +172,55 @@ impl<'a> TestTableColumns<'a> {
         cells.extend(self.states.iter().map(mean));
         cells.extend(self.states.iter().map(std_dev));
         cells
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(columns: TableColumns) -> Vec<String> {
+        columns.into_iter().map(|(name, _)| name).collect()
+    }
+
+    fn assert_unique(mut names: Vec<String>) {
+        names.sort();
+        let repeated: Vec<&[String]> = names.chunk_by(|a, b| a == b).filter(|same| same.len() > 1).collect();
+        assert!(repeated.is_empty(), "columns of one name: {repeated:?}");
+    }
+
+    #[test]
+    fn columns_of_each_table_have_different_names() {
+        assert_unique(names(head(of_test(None))));
+        assert_unique(names(head(figures(&QuantityRecord::FIGURES, None))));
+        assert_unique(names(head(figures(&ConstraintRecord::FIGURES, None))));
+    }
+
+    #[test]
+    fn a_figure_added_to_a_list_appears_in_the_table() {
+        let constraint = ConstraintRecord {
+            element: "mean[a]".to_owned(),
+            phase: "main".to_owned(),
+            level: None,
+            value: 0.5,
+            sensitivity: None,
+            score_statistic: Some(4.0),
+            p_value: Some(0.0455),
+            expected_change: None,
+        };
+        let doc = "Square root of the score statistic.";
+        let root = |own: &ConstraintRecord| {
+            own.score_statistic.map_or(FigureValue::Missing, |s| FigureValue::Number(s.sqrt()))
+        };
+        let added = Figure::new("score", doc, FigureKind::Number, root);
+        let hidden = Figure::new("hidden", doc, FigureKind::Number, root).column(None);
+        let list = [&ConstraintRecord::FIGURES[..], &[hidden, added.column(Some("z"))]].concat();
+        let before = names(head(figures(&ConstraintRecord::FIGURES, None)));
+        let after = head(figures(&list, None));
+        assert_eq!(after.last(), Some(&("z".to_owned(), CellKind::Number)));
+        assert_eq!(names(after), [before, vec!["z".to_owned()]].concat());
+        let row: Vec<TableCell<'_>> = figures(&list, Some(&constraint)).map(|column| column.cell).collect();
+        assert_eq!(row.first(), Some(&TableCell::Text("mean[a]")));
+        assert_eq!(row.last(), Some(&TableCell::Number(2.0)));
     }
 }

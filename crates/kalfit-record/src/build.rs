@@ -8,7 +8,7 @@ use crate::directions::crossing_notes;
 use crate::number::plain;
 use crate::own::{MOST_SINGLE_ESTIMATES, TestEstimate};
 use crate::phases::phases_and_levels;
-use crate::test_records::TestFigures;
+use crate::test::TestFigures;
 use crate::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, EstimatesRecord, FitRecord,
     ParameterRecord, SolverRecord, TestRecords, parameters,

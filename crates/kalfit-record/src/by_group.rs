@@ -5,35 +5,38 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::{FitRecord, TestRecord};
+use crate::figure::figures;
+use crate::{FigureUnit, FitRecord, TestRecord};
 use kalfit_model::Model;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{Label, Labels};
 
-/// The tests of one group together.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct GroupRecord {
-    /// Text of the group in the column; null for tests whose cells are empty.
-    pub group: Option<String>,
-    /// Number of tests.
-    pub tests: usize,
-    /// Number of scalar measurements.
-    pub observations: usize,
-    /// log p of its measurements: the sum of its tests'.
-    pub log_likelihood: f64,
-    /// Number of innovations, n.
-    pub innovations: usize,
-    /// Mean square of the innovations, each in units of its variance; expected 1 with standard deviation √(2/n). Null
-    /// without innovations.
-    pub innovations_mean_square: Option<f64>,
-    /// Two-sided p-value of the mean square, by χ² with n degrees of freedom.
-    pub innovations_p_value: Option<f64>,
-    /// Sum of the distances of its tests from the population.
-    pub distance: Option<f64>,
-    /// Degrees of freedom of the sum.
-    pub degrees_of_freedom: usize,
-    /// χ² p-value of so large a sum; null in models with levels, whose tests share effects.
-    pub p_value: Option<f64>,
+figures! {
+    /// The tests of one group together.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    pub struct GroupRecord {
+        /// Text of the group in the column; null for tests whose cells are empty.
+        pub group: Option<String> = figure {},
+        /// Number of tests.
+        pub tests: usize = figure { heading: "tests" },
+        /// Number of scalar measurements.
+        pub observations: usize = figure {},
+        /// log p of its measurements: the sum of its tests'.
+        pub log_likelihood: f64 = figure { unit: FigureUnit::LogLikelihood },
+        /// Number of innovations, n.
+        pub innovations: usize = figure {},
+        /// Mean square of the innovations, each in units of its variance; expected 1 with standard deviation √(2/n).
+        /// Null without innovations.
+        pub innovations_mean_square: Option<f64> = figure {},
+        /// Two-sided p-value of the mean square, by χ² with n degrees of freedom.
+        pub innovations_p_value: Option<f64> = figure { heading: "p-value", unit: FigureUnit::Probability },
+        /// Sum of the distances of its tests from the population.
+        pub distance: Option<f64> = figure { heading: "distance²" },
+        /// Degrees of freedom of the sum.
+        pub degrees_of_freedom: usize = figure { heading: "expected" },
+        /// χ² p-value of so large a sum; null in models with levels, whose tests share effects.
+        pub p_value: Option<f64> = figure { heading: "p-value", unit: FigureUnit::Probability },
+    }
 }
 
 /// Do the groups differ: μ and Σ of each group by itself against those of all tests, by likelihood ratio at the fitted

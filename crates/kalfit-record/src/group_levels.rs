@@ -5,9 +5,10 @@ use std::collections::HashMap;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use crate::figure::figures;
 use crate::square::rows;
 use crate::{
-    BoundaryRecord, CovarianceRecord, DeletionRecord, FitRecord, MatrixRecord, PhaseRecord, SquareRecord,
+    BoundaryRecord, CovarianceRecord, DeletionRecord, FigureUnit, FitRecord, MatrixRecord, PhaseRecord, SquareRecord,
     UnidentifiedRecord, VectorRecord,
 };
 use kalfit_apply::predict::Initial;
@@ -38,39 +39,41 @@ pub struct LevelRecord {
     pub unidentified: Vec<UnidentifiedRecord>,
 }
 
-/// Results of one group.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct UnitRecord {
-    /// Name of its level.
-    pub level: String,
-    /// Name of the group, after those of the groups that contain it, the outermost first.
-    pub id: Vec<String>,
-    /// Number of its tests.
-    pub tests: usize,
-    /// log p of all measurements of its tests, by themselves.
-    pub log_likelihood: f64,
-    /// Posterior mean, given all tests, of the mean of its members.
-    pub mean: Vec<f64>,
-    /// Posterior covariance of that mean.
-    pub covariance: SquareRecord,
-    /// Derivatives of `mean` with respect to μ and the regression coefficients, in their order, state by state; absent
-    /// without regressions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub follows: Option<Vec<Vec<f64>>>,
-    /// Derivatives of `mean` with respect to the quantities of `estimates`, in their order, state by state; zero for
-    /// quantities that are no variance or covariance. Only of the innermost level, and absent where they were not
-    /// computed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub by_estimates: Option<Vec<Vec<f64>>>,
-    /// Standardised squared distance of the group from the population.
-    pub distance: Option<f64>,
-    /// Degrees of freedom of the distance: rank of the information from its tests.
-    pub degrees_of_freedom: usize,
-    /// χ² p-value of the distance.
-    pub p_value: Option<f64>,
-    /// The fit without the group; null if it was not requested or has no certified optimum.
-    #[serde(default)]
-    pub deletion: Option<DeletionRecord>,
+figures! {
+    /// Results of one group.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    pub struct UnitRecord {
+        /// Name of its level.
+        pub level: String = figure { heading: "level" },
+        /// Name of the group, after those of the groups that contain it, the outermost first.
+        pub id: Vec<String>,
+        /// Number of its tests.
+        pub tests: usize = figure { heading: "tests" },
+        /// log p of all measurements of its tests, by themselves.
+        pub log_likelihood: f64 = figure { unit: FigureUnit::LogLikelihood },
+        /// Posterior mean, given all tests, of the mean of its members.
+        pub mean: Vec<f64>,
+        /// Posterior covariance of that mean.
+        pub covariance: SquareRecord,
+        /// Derivatives of `mean` with respect to μ and the regression coefficients, in their order, state by state;
+        /// absent without regressions.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub follows: Option<Vec<Vec<f64>>>,
+        /// Derivatives of `mean` with respect to the quantities of `estimates`, in their order, state by state; zero
+        /// for quantities that are no variance or covariance. Only of the innermost level, and absent where they were
+        /// not computed.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub by_estimates: Option<Vec<Vec<f64>>>,
+        /// Standardised squared distance of the group from the population.
+        pub distance: Option<f64> = figure { heading: "distance²" },
+        /// Degrees of freedom of the distance: rank of the information from its tests.
+        pub degrees_of_freedom: usize = figure { heading: "expected" },
+        /// χ² p-value of the distance.
+        pub p_value: Option<f64> = figure { heading: "p-value", unit: FigureUnit::Probability },
+        /// The fit without the group; null if it was not requested or has no certified optimum.
+        #[serde(default)]
+        pub deletion: Option<DeletionRecord>,
+    }
 }
 
 impl LevelRecord {

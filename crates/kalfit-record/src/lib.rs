@@ -4,6 +4,7 @@ mod along;
 mod applied;
 mod build;
 mod by_group;
+mod constraint;
 mod cut;
 mod datasheet;
 mod diagnosis;
@@ -12,6 +13,7 @@ mod dynamic;
 mod dynamic_ratio;
 mod estimates;
 mod exported;
+mod figure;
 mod group_levels;
 mod levels;
 mod misfit;
@@ -41,6 +43,7 @@ pub use along::{AlongRecord, MeasurementAlong, PhaseAlong, StateAlong, TestAlong
 pub use applied::{AppliedRecord, AppliedSource, Basis, FarGroupRecord, FarRecord, JointRecord, LawRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
+pub use constraint::ConstraintRecord;
 pub use datasheet::{AllanPoint, CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, EntryRecord};
 pub use diagnosis::shortage_notes;
 pub use directions::crossing_notes;
@@ -48,6 +51,7 @@ pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
 pub use estimates::EstimatesRecord;
 pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
+pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
 pub use group_levels::{LevelRecord, UnitRecord};
 pub use levels::{LevelCounts, level_notes};
 pub use misfit::{MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
@@ -222,33 +226,4 @@ pub struct SolverRecord {
     pub trace: Vec<f64>,
     /// Wall time.
     pub seconds: f64,
-}
-
-/// The cost of one constraint.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ConstraintRecord {
-    /// `mean[a]` or `covariance[a, b]`.
-    pub element: String,
-    /// Phase of the element.
-    pub phase: String,
-    /// Level of groups whose covariance it belongs to; null for the covariance of a phase.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub level: Option<String>,
-    /// Value at which it is fixed.
-    pub value: f64,
-    /// dℓ_max / d value.
-    pub sensitivity: Option<f64>,
-    /// Score (Lagrange multiplier) statistic from the expected information, χ² with one degree of freedom.
-    pub score_statistic: Option<f64>,
-    /// p-value of the score statistic.
-    pub p_value: Option<f64>,
-    /// Expected change of the element if it were freed, to first order, as far as Σ stays positive semidefinite.
-    pub expected_change: Option<f64>,
-    /// Likelihood ratio -2 log λ of a fit with only this element freed, for constraints that the score tests reject at
-    /// the 5 % level after Bonferroni correction; where a fit at the same dynamic parameters decides, a lower bound.
-    #[serde(default)]
-    pub likelihood_ratio: Option<f64>,
-    /// p-value of the likelihood ratio.
-    #[serde(default)]
-    pub likelihood_ratio_p_value: Option<f64>,
 }

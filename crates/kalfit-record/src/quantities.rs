@@ -2,45 +2,49 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::figure::figures;
 use crate::{
-    BoundaryRecord, CovarianceRecord, FitRecord, LevelRecord, MatrixRecord, ParameterRecord, PhaseRecord, ScaleRecord,
-    UnidentifiedRecord, VectorRecord,
+    BoundaryRecord, CovarianceRecord, FigureUnit, FitRecord, LevelRecord, MatrixRecord, ParameterRecord, PhaseRecord,
+    ScaleRecord, UnidentifiedRecord, VectorRecord,
 };
 use kalfit_infer::Interval;
 
-/// One number of a fit, with its errors and its status.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct QuantityRecord {
-    /// `mean[a]`, `std_dev[a]`, `covariance[a, b]`, `correlation[a, b]`, `regression[a, column]`, `tau`, `tau[level]`.
-    /// Where there are several phases, and for levels of groups, the name of the phase or level comes first, as in
-    /// `coast: mean[a]`.
-    pub name: String,
-    /// `mean`, `mean_scale`, `regression`, `std_dev`, `covariance`, `covariance_scale`, `correlation` or `parameter`.
-    pub kind: String,
-    /// Name of the phase; null for a parameter.
-    pub phase: Option<String>,
-    /// Level of groups whose spread it is, `tests` for the level of the tests; for a parameter, the text of `column`
-    /// that it belongs to.
-    pub level: Option<String>,
-    /// State that the number belongs to.
-    pub state: Option<String>,
-    /// The other state of a covariance or a correlation.
-    pub other_state: Option<String>,
-    /// The column of a regression, or of the levels of a parameter.
-    pub column: Option<String>,
-    /// Unit label of a mean, a standard deviation or a parameter.
-    pub unit: Option<String>,
-    /// Estimated or fixed value.
-    pub estimate: Option<f64>,
-    /// Standard error of the estimate.
-    pub std_error: Option<f64>,
-    /// Lower end of its 95 % interval.
-    pub lower: Option<f64>,
-    /// Upper end of its 95 % interval.
-    pub upper: Option<f64>,
-    /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at lower
-    /// bound`, `at upper bound`, `at the edge`, `unbounded` and `without effect`.
-    pub status: String,
+figures! {
+    /// One number of a fit, with its errors and its status.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    pub struct QuantityRecord {
+        /// `mean[a]`, `std_dev[a]`, `covariance[a, b]`, `correlation[a, b]`, `regression[a, column]`, `tau`,
+        /// `tau[level]`. Where there are several phases, and for levels of groups, the name of the phase or level comes
+        /// first, as in `coast: mean[a]`.
+        pub name: String = figure {},
+        /// `mean`, `mean_scale`, `regression`, `std_dev`, `covariance`, `covariance_scale`, `correlation` or
+        /// `parameter`.
+        pub kind: String = figure {},
+        /// Name of the phase; null for a parameter.
+        pub phase: Option<String> = figure {},
+        /// Level of groups whose spread it is, `tests` for the level of the tests; for a parameter, the text of
+        /// `column` that it belongs to.
+        pub level: Option<String> = figure {},
+        /// State that the number belongs to.
+        pub state: Option<String> = figure {},
+        /// The other state of a covariance or a correlation.
+        pub other_state: Option<String> = figure {},
+        /// The column of a regression, or of the levels of a parameter.
+        pub column: Option<String> = figure {},
+        /// Unit label of a mean, a standard deviation or a parameter.
+        pub unit: Option<String> = figure {},
+        /// Estimated or fixed value.
+        pub estimate: Option<f64> = figure { unit: FigureUnit::Element },
+        /// Standard error of the estimate.
+        pub std_error: Option<f64> = figure { unit: FigureUnit::Element },
+        /// Lower end of its 95 % interval.
+        pub lower: Option<f64> = figure { unit: FigureUnit::Element },
+        /// Upper end of its 95 % interval.
+        pub upper: Option<f64> = figure { unit: FigureUnit::Element },
+        /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at
+        /// lower bound`, `at upper bound`, `at the edge`, `unbounded` and `without effect`.
+        pub status: String = figure {},
+    }
 }
 
 impl FitRecord {

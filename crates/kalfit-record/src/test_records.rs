@@ -7,6 +7,7 @@ use serde::de::{SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::posteriors::PosteriorColumns;
+use crate::test::TestFigures;
 use crate::{DeletionRecord, FitRecord, InnovationRecord, SeriesKeeper, TestRecord, TestRow};
 use kalfit_model::{SparseColumn, TestId, Texts};
 
@@ -45,18 +46,6 @@ pub struct TestRecords {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct InnovationRecords(SparseColumn<InnovationRecord>);
 
-/// Results that every test has.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct TestFigures {
-    pub(super) log_likelihood: f64,
-    pub(super) observations: usize,
-    pub(super) steps: Option<usize>,
-    pub(super) design_class: Option<usize>,
-    pub(super) distance: Option<f64>,
-    pub(super) degrees_of_freedom: usize,
-    pub(super) p_value: Option<f64>,
-}
-
 impl TestRecords {
     /// Number of tests.
     pub fn len(&self) -> usize {
@@ -70,23 +59,15 @@ impl TestRecords {
 
     /// The test with index `number`. Panics when there is no such test.
     pub fn get(&self, number: usize) -> TestRecord<'_> {
-        let TestFigures { log_likelihood, observations, steps, design_class, distance, degrees_of_freedom, p_value } =
-            self.figures[number];
-        TestRecord {
-            id: self.ids.get(number),
-            group: self.group.get(number),
-            groups: self.groups.get(number).map_or(&[], Vec::as_slice),
-            log_likelihood,
-            observations,
-            steps,
-            design_class,
-            phases: self.phases.get(number),
-            distance,
-            degrees_of_freedom,
-            p_value,
-            deletion: self.deletions.get(number).map(Box::as_ref),
-            innovations: self.innovations.0.get(number),
-        }
+        TestRecord::with(
+            self.figures[number],
+            self.ids.get(number),
+            self.group.get(number),
+            self.groups.get(number).map_or(&[], Vec::as_slice),
+            self.phases.get(number),
+            self.deletions.get(number).map(Box::as_ref),
+            self.innovations.0.get(number),
+        )
     }
 
     /// Iterates over all tests.
@@ -126,16 +107,7 @@ impl TestRecords {
 
     fn push_row(&mut self, row: TestRow) {
         let number = self.len();
-        let figures = TestFigures {
-            log_likelihood: row.log_likelihood,
-            observations: row.observations,
-            steps: row.steps,
-            design_class: row.design_class,
-            distance: row.distance,
-            degrees_of_freedom: row.degrees_of_freedom,
-            p_value: row.p_value,
-        };
-        self.push(&row.id, figures, row.deletion);
+        self.push(&row.id, row.figures(), row.deletion);
         for part in row.phases {
             self.phases.push(&part.name, (&part.mean, part.covariance.entries()), part.own);
         }

@@ -8,6 +8,7 @@ mod check;
 mod compared;
 mod datasheet;
 mod exported;
+mod figures;
 mod html;
 mod number;
 mod page;

@@ -4,6 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::process::Command;
 
+use kalfit::record::{
+    ConstraintRecord, DeletionRecord, Figure, InnovationRecord, QuantityRecord, TestRecord, WhitenessRecord,
+};
+
 use crate::source::{Structure, files, structures};
 use crate::{fresh, root};
 
@@ -243,4 +247,31 @@ fn the_reference_names_fields_that_a_fit_writes() {
             assert!(page.contains(&format!("| `{}` |", inner.0)), "{key}.{} is not in the reference", inner.0);
         }
     }
+}
+
+/// Words of a figure in the reference and columns of the guide's row for a table are those of the figures' entries.
+#[test]
+fn the_book_has_every_figure_of_the_code() {
+    let fit = records("fit.json", "", "FitRecord");
+    let guide = std::fs::read_to_string(root().join("book/src/guide/command-line.md")).unwrap();
+    let row = |table: &str| guide.lines().find(|line| line.starts_with(&format!("| `{table}` |"))).unwrap().to_owned();
+    let check = |table: &str, figures: &[(&str, &str, Option<&str>)], in_reference: bool| {
+        for (name, words, column) in figures {
+            let meaning = format!("| {} |", plain(words));
+            assert!(!in_reference || fit.contains(&meaning), "{name} is not in the reference as {meaning}");
+            let listed = column.is_none_or(|column| row(table).contains(&format!("`{column}`")));
+            assert!(listed, "{column:?} is not in the guide's row for {table}");
+        }
+    };
+    check("--tests", &entries(&TestRecord::FIGURES), true);
+    check("--tests", &entries(&InnovationRecord::FIGURES), true);
+    check("--tests", &entries(&WhitenessRecord::FIGURES), true);
+    check("--tests", &entries(&DeletionRecord::FIGURES), true);
+    check("--constraints", &entries(&ConstraintRecord::FIGURES), true);
+    check("--parameters", &entries(&QuantityRecord::FIGURES), false); // fit.json has no list of them
+}
+
+/// (Name, words, column) of figures.
+fn entries<R>(figures: &[Figure<R>]) -> Vec<(&'static str, &'static str, Option<&'static str>)> {
+    figures.iter().map(|figure| (figure.name, figure.doc, figure.column)).collect()
 }

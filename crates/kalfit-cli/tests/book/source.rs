@@ -33,12 +33,13 @@ pub(crate) fn files(folder: &str) -> Vec<PathBuf> {
     found
 }
 
-/// The public structures of a file.
+/// The public structures of a file, also those within a macro that declares figures: there a field may go on, after
+/// ` as ` or ` = `, with what only the macro reads.
 pub(crate) fn structures(file: &Path) -> Vec<Structure> {
     let text = std::fs::read_to_string(file).unwrap();
     let mut found: Vec<Structure> = Vec::new();
     let (mut words, mut attributes) = (String::new(), String::new());
-    let mut inside = false;
+    let mut inside: Option<&str> = None; // the indentation of the open structure
     for line in text.lines() {
         let bare = line.trim();
         if let Some(said) = bare.strip_prefix("///") {
@@ -54,15 +55,17 @@ pub(crate) fn structures(file: &Path) -> Vec<Structure> {
         }
         let (words, attributes) = (std::mem::take(&mut words), std::mem::take(&mut attributes));
         let item = |name: &str, kind: &str| Item { name: name.to_owned(), kind: kind.to_owned(), words, attributes };
-        if let Some(name) = line.strip_prefix("pub struct ").and_then(|rest| rest.strip_suffix(" {")) {
-            inside = true;
+        let indentation = &line[..line.len() - line.trim_start().len()];
+        if let Some(name) = bare.strip_prefix("pub struct ").and_then(|rest| rest.strip_suffix(" {")) {
+            inside = Some(indentation);
             let (name, _) = name.split_once('<').unwrap_or((name, "")); // without its lifetime
             found.push(Structure { item: item(name, "struct"), fields: Vec::new() });
-        } else if line == "}" {
-            inside = false;
+        } else if bare == "}" && inside == Some(indentation) {
+            inside = None;
         } else if let Some((name, kind)) = bare.strip_prefix("pub ").and_then(|rest| rest.split_once(": "))
-            && inside
+            && inside.is_some()
         {
+            let kind = [" as ", " = "].iter().fold(kind, |kind, end| kind.split(end).next().unwrap_or(kind));
             found.last_mut().expect("a structure is open").fields.push(item(name, kind.trim_end_matches(',')));
         }
     }

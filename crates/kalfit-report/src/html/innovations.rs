@@ -1,7 +1,9 @@
 //! Is the model right for each test, as the filter sees it: size and whiteness over all tests, and one test in detail.
 
 use kalfit::FitRecord;
-use kalfit::record::{AutocorrelationRecord, InnovationRecord, SeriesRecord, TestRecord, WindowRecord};
+use kalfit::record::{
+    AutocorrelationRecord, InnovationRecord, SeriesRecord, TestRecord, WhitenessRecord, WindowRecord,
+};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
@@ -175,32 +177,19 @@ fn table(found: &[TestInnovations<'_>], said: &str, page: &PageLayout<'_>) -> Ma
     let per = |i: &InnovationRecord| i.nis.map(|nis| plain(nis / i.count.max(1) as f64, 3));
     let within =
         |i: &InnovationRecord| bounds(i.count).map(|[low, high]| format!("{} to {}", plain(low, 3), plain(high, 3)));
-    let columns = [
-        TextColumn::new("test", ColumnSide::Left, found.iter().map(|(test, _)| test.id.to_owned()).collect()),
-        TextColumn::new("innovations", ColumnSide::Right, column(&|i| Some(i.count.to_string()))),
+    let size = [
         TextColumn::new("mean square", ColumnSide::Right, column(&per)),
         TextColumn::new("95 % bounds", ColumnSide::Left, column(&within)),
-        TextColumn::new("p-value", ColumnSide::Right, column(&|i| i.nis_p_value.map(probability))),
-        TextColumn::new("mean", ColumnSide::Right, column(&|i| i.mean.map(|m| plain(m, 2)))),
-        TextColumn::new(
-            "whiteness",
-            ColumnSide::Right,
-            column(&|i| i.whiteness.as_ref().map(|w| plain(w.statistic, 3))),
-        ),
-        TextColumn::new(
-            "expected",
-            ColumnSide::Right,
-            column(&|i| i.whiteness.as_ref().map(|w| w.degrees_of_freedom.to_string())),
-        ),
-        TextColumn::new(
-            "p-value of whiteness",
-            ColumnSide::Right,
-            column(&|i| i.whiteness.as_ref().map(|w| probability(w.p_value))),
-        ),
     ];
-    let hint = format!(
-        "Mean: of the innovations in their standard deviations; expected 0. Whiteness: Ljung and Box's statistic.{said}"
-    );
+    let mut columns =
+        vec![TextColumn::new("test", ColumnSide::Left, found.iter().map(|(test, _)| test.id.to_owned()).collect())];
+    columns.extend(crate::figures::columns(&InnovationRecord::FIGURES, found.iter().map(|&(_, own)| own)));
+    columns.splice(2..2, size); // beside the number of innovations
+    let whiteness = found.iter().map(|(_, own)| own.whiteness.as_ref());
+    columns.extend(crate::figures::columns(&WhitenessRecord::FIGURES, whiteness));
+    let sentences =
+        [crate::figures::sentences(&InnovationRecord::FIGURES), crate::figures::sentences(&WhitenessRecord::FIGURES)];
+    let hint = sentences.join(" ") + said;
     html! { h3 { "Innovations test by test" } (PreEscaped(page.table(&columns))) p.hint { (hint) } }
 }
 

@@ -5,12 +5,13 @@ use kalfit::record::TestRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
+use crate::figures;
 use crate::html::chart::{PageChart, PageCharts, figure};
 use crate::html::grouping::{ColoredGroups, place};
 use crate::html::outlying::{LEVEL, MOST_TESTS, outlying, stands_out};
 use crate::html::posteriors;
 use crate::html::section::PageSection;
-use crate::number::{FigurePrecision, hundredths, plain, probability};
+use crate::number::{FigurePrecision, probability};
 use crate::page::PageLayout;
 use crate::summary::{outliers, places};
 use crate::table::{ColumnSide, TextColumn};
@@ -89,22 +90,12 @@ fn table(record: &FitRecord, page: &PageLayout<'_>) -> Markup {
     if all <= MOST_TESTS {
         tests.sort_by_key(|test| test.id);
     }
-    let column =
-        |of: &dyn Fn(TestRecord<'_>) -> String| -> Vec<String> { tests.iter().map(|&test| of(test)).collect() };
-    let or_dash = |x: Option<String>| x.unwrap_or_else(|| "-".to_owned());
-    let mut columns = vec![
-        TextColumn::new("test", ColumnSide::Left, column(&|t| t.id.to_owned())),
-        TextColumn::new("observations", ColumnSide::Right, column(&|t| t.observations.to_string())),
-        TextColumn::new("log-likelihood", ColumnSide::Right, column(&|t| hundredths(t.log_likelihood))),
-        TextColumn::new("distance²", ColumnSide::Right, column(&|t| or_dash(t.distance.map(|d| plain(d, 3))))),
-        TextColumn::new("expected", ColumnSide::Right, column(&|t| t.degrees_of_freedom.to_string())),
-        TextColumn::new("p-value", ColumnSide::Right, column(&|t| or_dash(t.p_value.map(probability)))),
-        TextColumn::new(
-            "",
-            ColumnSide::Left,
-            column(&|t| if stands_out(t, all) { "outlier".into() } else { String::new() }),
-        ),
-    ];
+    let mut of_test = TestRecord::FIGURES;
+    of_test.sort_by_key(|figure| figure.name != "observations"); // what there is of a test comes first
+    let outlier = |test: &TestRecord<'_>| if stands_out(*test, all) { "outlier" } else { "" }.to_owned();
+    let mut columns = vec![TextColumn::new("test", ColumnSide::Left, tests.iter().map(|t| t.id.to_owned()).collect())];
+    columns.extend(figures::columns(&of_test, &tests));
+    columns.push(TextColumn::new("", ColumnSide::Left, tests.iter().map(outlier).collect()));
     columns.extend(states(record, &tests));
     let rows = page.table(&columns);
     let said = if all > tests.len() {

@@ -3,7 +3,8 @@
 use kalfit::FitRecord;
 use kalfit::record::ConstraintRecord;
 
-use crate::number::{DIGITS, plain, probability};
+use crate::figures;
+use crate::number::{plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, list};
@@ -24,21 +25,16 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         rows.sort_by(|a, b| a.p_value.unwrap_or(2.0).total_cmp(&b.p_value.unwrap_or(2.0)));
         rows.truncate(page.rows(MOST_ROWS));
     }
-    let figures = |of: fn(&ConstraintRecord) -> Option<f64>, digits: usize| -> Vec<String> {
-        rows.iter().map(|&row| of(row).map_or_else(|| "-".to_owned(), |x| plain(x, digits))).collect()
-    };
-    let p_values = rows.iter().map(|r| r.p_value.map_or_else(|| "-".to_owned(), probability)).collect();
-    let mut columns = vec![
-        TextColumn::new("element", ColumnSide::Left, rows.iter().map(|r| name(record, r)).collect()),
-        TextColumn::new("held at", ColumnSide::Right, figures(|r| Some(r.value), DIGITS)),
-        TextColumn::new("dℓ/dvalue", ColumnSide::Right, figures(|r| r.sensitivity, 3)),
-        TextColumn::new("p-value", ColumnSide::Right, p_values),
-        TextColumn::new("if freed", ColumnSide::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
-    ];
+    let freed =
+        |row: &ConstraintRecord| row.expected_change.map_or_else(|| "-".to_owned(), |c| plain(row.value + c, 3));
+    let mut columns =
+        vec![TextColumn::new("element", ColumnSide::Left, rows.iter().map(|r| name(record, r)).collect())];
+    columns.extend(figures::columns(&ConstraintRecord::FIGURES, rows.iter().copied()));
     if rows.iter().any(|row| row.likelihood_ratio_p_value.is_some()) {
         let p_values = rows.iter().map(|r| r.likelihood_ratio_p_value.map_or_else(|| "-".to_owned(), probability));
-        columns.insert(4, TextColumn::new("p of refit", ColumnSide::Right, p_values.collect()));
+        columns.push(TextColumn::new("p of refit", ColumnSide::Right, p_values.collect()));
     }
+    columns.push(TextColumn::new("if freed", ColumnSide::Right, rows.iter().map(|r| freed(r)).collect()));
     let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints (score test of each one separately)", &body)
 }

@@ -3,6 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{GroupRecord, GroupTestRecord};
 
+use crate::figures;
 use crate::number::{FigurePrecision, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -35,7 +36,7 @@ fn columns(rows: &[GroupRecord], column: &str) -> Vec<TextColumn> {
             ColumnSide::Left,
             each(&|g| Some(g.group.as_deref().map_or_else(|| "(none)".to_owned(), clean))),
         ),
-        TextColumn::new("tests", ColumnSide::Right, each(&|g| Some(g.tests.to_string()))),
+        figures::column(GroupRecord::tests, rows),
     ];
     if rows.iter().any(|group| group.innovations > 0) {
         let square = |g: &GroupRecord| {
@@ -43,11 +44,10 @@ fn columns(rows: &[GroupRecord], column: &str) -> Vec<TextColumn> {
             Some(FigurePrecision::of(square, Some(spread)).show(square))
         };
         columns.push(TextColumn::new("mean square", ColumnSide::Right, each(&square)));
-        columns.push(TextColumn::new("p-value", ColumnSide::Right, each(&|g| g.innovations_p_value.map(probability))));
+        columns.push(figures::column(GroupRecord::innovations_p_value, rows));
     }
-    columns.push(TextColumn::new("distance²", ColumnSide::Right, each(&|g| g.distance.map(|d| plain(d, 3)))));
-    columns.push(TextColumn::new("expected", ColumnSide::Right, each(&|g| Some(g.degrees_of_freedom.to_string()))));
-    columns.push(TextColumn::new("p-value", ColumnSide::Right, each(&|g| g.p_value.map(probability))));
+    let of_distance = [GroupRecord::distance, GroupRecord::degrees_of_freedom, GroupRecord::p_value];
+    columns.extend(figures::columns(&of_distance, rows));
     columns
 }
 

@@ -3,7 +3,8 @@
 use kalfit::FitRecord;
 use kalfit::record::{DeletionRecord, displacement_limit};
 
-use crate::number::{plain, probability};
+use crate::figures;
+use crate::number::plain;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
@@ -27,14 +28,11 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         return page.section(heading, &page.items(&[sentence]));
     }
     let rows = &influential[..influential.len().min(page.rows(MOST_ROWS))];
+    let deletions = || rows.iter().map(|(_, deletion)| *deletion);
     let columns = [
         TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(test, _)| (*test).to_owned()).collect()),
-        TextColumn::new(
-            "displacement",
-            ColumnSide::Right,
-            rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect(),
-        ),
-        TextColumn::new("p-value without it", ColumnSide::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
+        figures::column(DeletionRecord::displacement, deletions()),
+        figures::column(DeletionRecord::p_value, deletions()),
     ];
     let which = match (rows.len(), influential.len() - rows.len()) {
         (1, _) => "this test".to_owned(),
@@ -43,9 +41,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     };
     let sentences = [
         format!("Leaving {which} out moves the estimates outside the 50 % confidence region of the full fit."),
-        "Displacement (Cook's): twice the drop in the log-likelihood of all tests when the estimates from the other tests are \
-         used. The p-value says how well the test agrees with the estimates from the other tests."
-            .to_owned(),
+        figures::sentences(&[DeletionRecord::displacement, DeletionRecord::p_value]),
     ];
     page.section(heading, &(page.table(&columns) + &page.items(&sentences)))
 }
@@ -63,8 +59,4 @@ pub(crate) fn deleted(record: &FitRecord) -> Vec<(&str, &DeletionRecord)> {
 pub(super) fn influential(record: &FitRecord) -> Vec<&str> {
     let limit = displacement_limit(record.free_parameters);
     deleted(record).into_iter().take_while(|(_, d)| d.displacement > limit).map(|(test, _)| test).collect()
-}
-
-fn p_value(deletion: &DeletionRecord) -> String {
-    deletion.p_value.map_or_else(|| "-".to_owned(), probability)
 }

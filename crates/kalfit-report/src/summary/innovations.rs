@@ -3,8 +3,9 @@
 use std::cmp::Ordering;
 
 use kalfit::FitRecord;
-use kalfit::record::{InnovationRecord, SEARCH_LEVEL, holm, overall_size};
+use kalfit::record::{InnovationRecord, SEARCH_LEVEL, WhitenessRecord, holm, overall_size};
 
+use crate::figures;
 use crate::number::{FigurePrecision, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -187,18 +188,16 @@ impl InnovationFigure<'_> {
 
     fn found(&self) -> String {
         match self {
-            InnovationFigure::Size(found) => found.nis.map_or_else(|| "-".to_owned(), |x| plain(x, 3)),
-            InnovationFigure::Whiteness(found) => {
-                found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| plain(w.statistic, 3))
-            }
+            InnovationFigure::Size(found) => figures::shown(InnovationRecord::nis, Some(found)),
+            InnovationFigure::Whiteness(found) => figures::shown(WhitenessRecord::statistic, found.whiteness.as_ref()),
         }
     }
 
     fn expected(&self) -> String {
         match self {
-            InnovationFigure::Size(found) => found.count.to_string(),
+            InnovationFigure::Size(found) => figures::shown(InnovationRecord::count, Some(found)),
             InnovationFigure::Whiteness(found) => {
-                found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| w.degrees_of_freedom.to_string())
+                figures::shown(WhitenessRecord::degrees_of_freedom, found.whiteness.as_ref())
             }
         }
     }

@@ -3,7 +3,8 @@
 use kalfit::FitRecord;
 use kalfit::record::{SEARCH_LEVEL, TestRecord};
 
-use crate::number::{plain, probability};
+use crate::figures;
+use crate::number::probability;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
@@ -31,15 +32,12 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         return page.section("Outlying tests", &page.items(&[sentence]));
     }
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
+    let tests = || rows.iter().map(|(_, test)| test);
     let columns = [
         TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(_, t)| t.id.to_owned()).collect()),
-        TextColumn::new("distance²", ColumnSide::Right, rows.iter().map(|(_, t)| distance(*t)).collect()),
-        TextColumn::new(
-            "expected",
-            ColumnSide::Right,
-            rows.iter().map(|(_, t)| t.degrees_of_freedom.to_string()).collect(),
-        ),
-        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
+        figures::column(TestRecord::distance, tests()),
+        figures::column(TestRecord::degrees_of_freedom, tests()),
+        figures::column(TestRecord::p_value, tests()),
         TextColumn::new(
             &format!("times {all}"),
             ColumnSide::Right,
@@ -52,9 +50,10 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     };
     let are = if outliers.len() == 1 { ("This test", "is an outlier") } else { ("These tests", "are outliers") };
     let sentence = format!(
-        "{}{more} {} at the 5 % level, after Bonferroni correction for {all} tests. Distance²: squared distance of the test's \
-         initial state from the population, in standard deviations.",
-        are.0, are.1
+        "{}{more} {} at the 5 % level, after Bonferroni correction for {all} tests. {}",
+        are.0,
+        are.1,
+        figures::sentences(&[TestRecord::distance])
     );
     page.section("Outlying tests", &(page.table(&columns) + &page.items(&[sentence])))
 }
@@ -70,8 +69,4 @@ pub(super) fn outlying(record: &FitRecord) -> Vec<(f64, TestRecord<'_>)> {
     let mut found: Vec<_> = tested(record).filter(|(p, _)| (p * all).min(1.0) < SEARCH_LEVEL).collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
     found
-}
-
-fn distance(test: TestRecord<'_>) -> String {
-    test.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3))
 }

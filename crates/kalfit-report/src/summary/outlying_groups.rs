@@ -3,7 +3,8 @@
 use kalfit::FitRecord;
 use kalfit::record::{SEARCH_LEVEL, UnitRecord};
 
-use crate::number::{plain, probability};
+use crate::figures;
+use crate::number::probability;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
@@ -32,18 +33,14 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         return page.section("Outlying groups", &page.items(&[sentence]));
     }
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
-    let each = |of: &dyn Fn(&UnitRecord) -> String| rows.iter().map(|(_, group)| of(group)).collect();
+    let groups = || rows.iter().map(|&(_, group)| group);
     let columns = [
-        TextColumn::new("level", ColumnSide::Left, each(&|g| clean(&g.level))),
-        TextColumn::new("group", ColumnSide::Left, each(&|g| clean(&g.id.join("/")))),
-        TextColumn::new("tests", ColumnSide::Right, each(&|g| g.tests.to_string())),
-        TextColumn::new(
-            "distance²",
-            ColumnSide::Right,
-            each(&|g| g.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3))),
-        ),
-        TextColumn::new("expected", ColumnSide::Right, each(&|g| g.degrees_of_freedom.to_string())),
-        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
+        figures::column(UnitRecord::level, groups()),
+        TextColumn::new("group", ColumnSide::Left, groups().map(|group| clean(&group.id.join("/"))).collect()),
+        figures::column(UnitRecord::tests, groups()),
+        figures::column(UnitRecord::distance, groups()),
+        figures::column(UnitRecord::degrees_of_freedom, groups()),
+        figures::column(UnitRecord::p_value, groups()),
         TextColumn::new(
             &format!("times {all}"),
             ColumnSide::Right,
