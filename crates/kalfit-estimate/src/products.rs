@@ -141,6 +141,8 @@ impl Crosses {
 
 #[cfg(test)]
 mod tests {
+    use kalfit_fixtures::near;
+
     use super::*;
 
     #[test]
@@ -170,18 +172,15 @@ mod tests {
             let left = |own: std::ops::Range<usize>| own.flat_map(|k| (0..6).map(move |m| weight(k, m))).collect();
             crosses.blocks.take([0..2, 2..5].map(|own| outer(left(own.clone()), &a[5..10][own])).to_vec());
         }
-        let close = |what: &str, found: f64, expected: f64| {
-            assert!((found - expected).abs() < 1e-12, "{what}: {found} {expected}");
-        };
         for (k, l) in elements.all() {
             for (x, y) in elements.all() {
                 let expected: f64 = tests.iter().map(|(a, b)| 2.0 * a[l * 5 + x] * b[y * 5 + k]).sum();
-                close(&format!("{k} {l} {x} {y}"), sums.get((l, x), (y, k)), expected);
+                near::absolute(format_args!("{k} {l} {x} {y}"), sums.get((l, x), (y, k)), expected, 1e-12);
             }
             let expected: f64 = tests.iter().map(|(a, _)| a[3 * 5 + k] * a[5 + l]).sum();
-            close("cross", crosses.get(3, (k, l)), expected);
+            near::absolute("cross", crosses.get(3, (k, l)), expected, 1e-12);
             let expected: f64 = tests.iter().map(|(a, b)| b[k] * a[5 + l]).sum();
-            close("cross of a regressor", crosses.get(5, (k, l)), expected);
+            near::absolute("cross of a regressor", crosses.get(5, (k, l)), expected, 1e-12);
         }
     }
 }

@@ -139,6 +139,8 @@ impl<H: Holds> Profile<'_, '_, H> {
 
 #[cfg(test)]
 mod tests {
+    use kalfit_fixtures::near;
+
     use super::*;
     use kalfit_estimate::Silent;
 
@@ -170,17 +172,17 @@ mod tests {
         upper
     }
 
-    fn near(found: Option<f64>, expected: f64, tolerance: f64) {
-        let found = found.expect("an end");
-        assert!((found - expected).abs() <= tolerance * expected, "{found} for {expected}");
-    }
-
     #[test]
     fn an_end_is_found_in_any_unit_and_from_any_first_step() {
         for unit in [1e-13, 1.0, 1e9] {
             for step in [0.05, 1.0, 40.0] {
                 let curved = |x: f64| Some(((1.0 + x / unit).ln() * 3.0, 3.0 / (unit + x)));
-                near(end(curved, step * unit, Some(1e4 * unit)), ((2.0_f64 / 3.0).exp() - 1.0) * unit, 1e-6);
+                near::relative(
+                    "the end",
+                    end(curved, step * unit, Some(1e4 * unit)).expect("an end"),
+                    ((2.0_f64 / 3.0).exp() - 1.0) * unit,
+                    1e-6,
+                );
             }
         }
     }
@@ -189,7 +191,7 @@ mod tests {
     fn a_profile_that_jumps_over_the_quantile_ends_at_the_jump() {
         for (at, below, above) in [(0.4055, 0.55, 2.05), (0.3, 1.99, 9.0), (2.7, 0.1, 2.0001)] {
             let jumping = |x: f64| Some(if x < at { (below * x / at, below / at) } else { (above + x - at, 1.0) });
-            near(end(jumping, 1.0, None), at, 2e-3);
+            near::relative("the end", end(jumping, 1.0, None).expect("an end"), at, 2e-3);
         }
     }
 
@@ -198,7 +200,12 @@ mod tests {
         let slow = |x: f64| (x, 1.0);
         assert_eq!(end(|x| (x < 1.0).then(|| slow(x)), 0.3, None), None);
         // values of likelihood zero are different: the end is where they begin
-        near(end(|x| Some(if x < 1.0 { slow(x) } else { (f64::INFINITY, 0.0) }), 0.3, None), 1.0, 1e-3);
+        near::relative(
+            "the end",
+            end(|x| Some(if x < 1.0 { slow(x) } else { (f64::INFINITY, 0.0) }), 0.3, None).expect("an end"),
+            1.0,
+            1e-3,
+        );
         assert_eq!(end(|x| Some(slow(x)), 0.3, Some(1.5)), Some(1.5));
     }
 }

@@ -6,6 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::allan::{Estimate, estimate, median_step, spans, stretches, variance};
 use crate::export::{Exported, Wanted, export};
+use kalfit_fixtures::near;
 use kalfit_model::build::{constant, gauss_markov, integral, measurement, name, random_walk};
 use kalfit_model::{Alpha, Model, Population};
 
@@ -32,10 +33,6 @@ fn filter(model: &kalfit_model::PhasedModel, mean: f64, variance: f64) -> Export
     export(model, &alpha, &population, &Wanted { step: Some(STEP), ..Wanted::default() }).expect("it is constant")
 }
 
-fn near(what: &str, found: f64, expected: f64, part: f64) {
-    assert!((found - expected).abs() <= part * expected.abs(), "{what}: {found} against {expected}");
-}
-
 #[test]
 fn spans_go_by_one_two_five() {
     assert_eq!(spans(120), [1, 2, 5, 10, 20, 50, 100]);
@@ -46,7 +43,7 @@ fn spans_go_by_one_two_five() {
 fn white_noise_falls_with_the_span_and_constants_drop_out() {
     let filter = gyro(0.3, 0.0, 0.0);
     for m in spans(100_000) {
-        near(&format!("m = {m}"), variance(&filter, 0, m).expect("a value"), 0.09 / m as f64, 1e-9);
+        near::relative(format_args!("m = {m}"), variance(&filter, 0, m).expect("a value"), 0.09 / m as f64, 1e-9);
     }
 }
 
@@ -58,9 +55,9 @@ fn a_random_walk_gives_the_exact_sum_and_its_limit() {
         let (q, n) = (0.04 * STEP, m as f64);
         // the k-th of the 2m - 1 steps moves the difference of the means by min(k, 2m - k)/m
         let exact: f64 = (1..2 * m).map(|k| (k.min(2 * m - k) as f64 / n).powi(2)).sum::<f64>() * q / 2.0;
-        near(&format!("m = {m}"), found, exact, 1e-9);
+        near::relative(format_args!("m = {m}"), found, exact, 1e-9);
         if m >= 100 {
-            near(&format!("limit, m = {m}"), found, 0.04 * STEP * n / 3.0, 1e-3);
+            near::relative(format_args!("limit, m = {m}"), found, 0.04 * STEP * n / 3.0, 1e-3);
         }
     }
 }
@@ -74,11 +71,11 @@ fn a_gauss_markov_state_gives_the_exact_sum_and_its_limit() {
         let weight = |k: usize| if k < m { -1.0 } else { 1.0 };
         let pairs = (0..2 * m).flat_map(|i| (0..2 * m).map(move |k| (i, k)));
         let sum: f64 = pairs.map(|(i, k)| weight(i) * weight(k) * covariance(i.abs_diff(k))).sum();
-        near(&format!("m = {m}"), found, 0.5 * sum / (m as f64).powi(2), 1e-9);
+        near::relative(format_args!("m = {m}"), found, 0.5 * sum / (m as f64).powi(2), 1e-9);
         let x = STEP * m as f64 / 20.0;
         let limit = 0.16 / (x * x) * (2.0 * x - 3.0 + 4.0 * (-x).exp() - (-2.0 * x).exp());
         if m >= 50 {
-            near(&format!("limit, m = {m}"), found, limit, 1e-2);
+            near::relative(format_args!("limit, m = {m}"), found, limit, 1e-2);
         }
     }
 }
@@ -92,7 +89,7 @@ fn a_ramp_is_its_mean_square() {
     let filter = filter(&model.build().expect("it is sound"), 7.0, 100.0);
     for m in [1, 10, 1000] {
         let expected = 0.5 * (64.0 + 100.0) * (STEP * m as f64).powi(2);
-        near(&format!("m = {m}"), variance(&filter, 0, m).expect("a value"), expected, 1e-9);
+        near::relative(format_args!("m = {m}"), variance(&filter, 0, m).expect("a value"), expected, 1e-9);
     }
 }
 
@@ -123,7 +120,7 @@ fn the_model_agrees_with_long_simulated_records() {
         let expected = variance(&filter, 0, m).expect("a value");
         let bound = 4.0 * (2.0 / degrees_of_freedom).sqrt();
         println!("m = {m}: simulated {found}, model {expected}, bound {bound}");
-        near(&format!("m = {m}"), found, expected, bound);
+        near::relative(format_args!("m = {m}"), found, expected, bound);
     }
 }
 
@@ -160,7 +157,7 @@ fn the_estimate_is_that_of_a_double_loop() {
         }
         let found = estimate(&records, m).expect("it has spans");
         assert_eq!(found.pairs, pairs, "m = {m}");
-        near(&format!("m = {m}"), found.variance, sum / pairs as f64, 1e-12);
+        near::relative(format_args!("m = {m}"), found.variance, sum / pairs as f64, 1e-12);
     }
     assert_eq!(estimate(&records, 29), None);
 }

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::apply::{Applied, Law, Laws, Said, Trust};
+use kalfit_fixtures::near;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::Labels;
 use kalfit_model::PhasedTest;
@@ -11,6 +12,8 @@ use kalfit_model::{Alpha, Model, PhasedModel, Population};
 
 const ROWS: usize = 5;
 const SIGMA: f64 = 0.5;
+/// The size of the correlated errors of Σ̂ and σ̂, as a part: closer the laws need not be.
+const CORRELATED: f64 = 1e-3;
 
 /// y = bias + u slope with noise `sigma`.
 fn model() -> PhasedModel {
@@ -82,24 +85,19 @@ fn laws(number: usize, trust: &Trust<'_>) -> (Said, Laws) {
     (said, laws)
 }
 
-/// Compares to 1e-3, the size of the correlated errors of Σ̂ and σ̂.
-fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-3 * expected.abs(), "{what}: {found} against {expected}");
-}
-
 #[test]
 fn each_test_has_the_law_of_hotelling_and_all_that_of_the_trace() {
     let fitted = 12.0;
     let (_, found) = laws(7, &Trust::Estimates(&knowledge(fitted)));
     for law in &found.tests {
         let law = law.expect("there are enough tests");
-        near("scale", law.scale, 2.0 * (fitted + 1.0) / (fitted - 2.0));
-        near("a", law.numerator, 2.0);
-        near("b", law.denominator, fitted - 2.0);
+        near::relative("scale", law.scale, 2.0 * (fitted + 1.0) / (fitted - 2.0), CORRELATED);
+        near::relative("a", law.numerator, 2.0, CORRELATED);
+        near::relative("b", law.denominator, fitted - 2.0, CORRELATED);
     }
     // E: N n p (1 + 1/N) / (N - 1 - p - 1)
     let sum = found.distance.expect("there are enough tests");
-    near("mean", sum.mean(), fitted * 7.0 * 2.0 * (1.0 + 1.0 / fitted) / (fitted - 4.0));
+    near::relative("mean", sum.mean(), fitted * 7.0 * 2.0 * (1.0 + 1.0 / fitted) / (fitted - 4.0), CORRELATED);
 }
 
 #[test]
@@ -111,7 +109,7 @@ fn residuals_have_the_law_of_fisher() {
     for (found, expected) in own {
         let found = found.expect("there are residuals");
         assert_eq!((found.scale, found.numerator), (expected.scale, expected.numerator));
-        near("b", found.denominator, expected.denominator);
+        near::relative("b", found.denominator, expected.denominator, CORRELATED);
     }
 }
 
@@ -126,8 +124,8 @@ fn exact_parameters_leave_chi_squared() {
 fn a_number_of_tests_stands_for_tests_that_tell_all() {
     let (_, found) = laws(1, &Trust::Tests(12));
     let law = found.tests[0].expect("there are enough tests");
-    near("scale", law.scale, 2.0 * 13.0 / 10.0);
-    near("b", law.denominator, 10.0);
+    near::relative("scale", law.scale, 2.0 * 13.0 / 10.0, CORRELATED);
+    near::relative("b", law.denominator, 10.0, CORRELATED);
 }
 
 #[test]

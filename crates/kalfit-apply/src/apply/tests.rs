@@ -3,6 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::apply::{Applied, Laws, StateKind, StepStates};
+use kalfit_fixtures::dense::Linear;
+use kalfit_fixtures::near;
 use kalfit_model::Labels;
 use kalfit_model::PhasedTest;
 use kalfit_model::build::{Columns, ModelBuilder, constant, measurement, name, phase, random_walk};
@@ -82,11 +84,12 @@ impl Dense {
     fn given(&self, counts: impl Fn(usize) -> bool) -> (DVector<f64>, DMatrix<f64>) {
         let seen: Vec<_> = self.seen.iter().filter(|seen| counts(seen.0)).collect();
         let h = DMatrix::from_fn(seen.len(), self.mean.len(), |i, k| seen[i].1[k]);
-        let s = &h * &self.covariance * h.transpose()
-            + DMatrix::from_diagonal(&DVector::from_fn(seen.len(), |i, _| seen[i].3));
-        let e = DVector::from_fn(seen.len(), |i, _| seen[i].2) - &h * &self.mean;
-        let gain = &self.covariance * h.transpose() * s.try_inverse().expect("positive");
-        (&self.mean + &gain * e, &self.covariance - &gain * &h * &self.covariance)
+        let law = Linear {
+            residual: DVector::from_fn(seen.len(), |i, _| seen[i].2),
+            sensitivity: h,
+            covariance: DMatrix::from_diagonal(&DVector::from_fn(seen.len(), |i, _| seen[i].3)),
+        };
+        law.given(&self.mean, &self.covariance)
     }
 
     /// Compares states along the record with the joint law.
@@ -100,8 +103,13 @@ impl Dense {
                 StateKind::Smoothed => self.given(|_| true),
             };
             for (state, at) in [0, 1, 2 + step].into_iter().enumerate() {
-                near(&format!("{kind:?} {step} {state}"), states.mean[state], mean[at]);
-                near(&format!("its deviation {kind:?} {step}"), states.std_dev[state], covariance[(at, at)].sqrt());
+                near::mixed(format_args!("{kind:?} {step} {state}"), states.mean[state], mean[at], 1e-11);
+                near::mixed(
+                    format_args!("its deviation {kind:?} {step}"),
+                    states.std_dev[state],
+                    covariance[(at, at)].sqrt(),
+                    1e-11,
+                );
             }
             let own: Vec<_> = self.seen.iter().filter(|seen| seen.0 == step).collect();
             assert_eq!(states.measurements.len(), own.len(), "measurements of step {step}");
@@ -114,15 +122,11 @@ impl Dense {
                     _ => 0.0,
                 });
                 let noise = if kind == StateKind::Predicted { noise * noise } else { 0.0 };
-                near("prediction", prediction.value, h.dot(&mean) + constant);
-                near("deviation", prediction.std_dev, ((&covariance * &h).dot(&h) + noise).sqrt());
+                near::mixed("prediction", prediction.value, h.dot(&mean) + constant, 1e-11);
+                near::mixed("deviation", prediction.std_dev, ((&covariance * &h).dot(&h) + noise).sqrt(), 1e-11);
             }
         }
     }
-}
-
-fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-11 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
 }
 
 fn cells(model: &PhasedModel, rows: std::ops::Range<usize>) -> PhasedTest {
@@ -152,14 +156,14 @@ fn what_tests_say_is_that_of_the_joint_gaussian() {
     let (mean, covariance) = Dense::new().given(|_| true);
     let own = said.posteriors.get(0);
     for i in 0..2 {
-        near("posterior", own.mean[i], mean[i]);
-        near("its variance", own.covariance(0)[(i, i)], covariance[(i, i)]);
+        near::mixed("posterior", own.mean[i], mean[i], 1e-11);
+        near::mixed("its variance", own.covariance(0)[(i, i)], covariance[(i, i)], 1e-11);
     }
     let innovations = said.innovations[0].as_ref().expect("rows were filtered");
-    near("log density", own.log_likelihood, innovations.log_likelihood);
+    near::mixed("log density", own.log_likelihood, innovations.log_likelihood, 1e-11);
     let verdict = said.verdict(&Laws::known(&said));
-    near("of all", verdict.log_density, own.log_likelihood);
-    near("squares", verdict.residual.squared + verdict.distance.squared, innovations.summary.nis);
+    near::mixed("of all", verdict.log_density, own.log_likelihood, 1e-11);
+    near::mixed("squares", verdict.residual.squared + verdict.distance.squared, innovations.summary.nis, 1e-11);
     assert_eq!(verdict.residual.degrees_of_freedom, Dense::new().seen.len() - 2);
     assert_eq!(verdict.distance.degrees_of_freedom, 2);
 }
@@ -175,7 +179,7 @@ fn the_residual_does_not_depend_on_the_population() {
         said.expect("it applies").residuals[0].expect("rows were filtered")
     };
     let (found, expected) = (residual(&other), residual(&population()));
-    near("squares", found.0, expected.0);
+    near::mixed("squares", found.0, expected.0, 1e-11);
     assert_eq!(found.1, expected.1);
 }
 
@@ -203,8 +207,8 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
     let steps = before.steps.iter().enumerate().chain(after.steps.iter().enumerate().map(|(k, step)| (k + 1, step)));
     for (step, states) in steps {
         for (state, at) in [0, 1, 2 + step].into_iter().enumerate() {
-            near(&format!("step {step}, state {state}"), states.mean[state], mean[at]);
-            near("its deviation", states.std_dev[state], covariance[(at, at)].sqrt());
+            near::mixed(format_args!("step {step}, state {state}"), states.mean[state], mean[at], 1e-11);
+            near::mixed("its deviation", states.std_dev[state], covariance[(at, at)].sqrt(), 1e-11);
         }
     }
     // the states of the second phase also depend on the measurements of the first phase
@@ -212,8 +216,8 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
     for (step, states) in filtered[0][1].steps.iter().enumerate() {
         let (mean, covariance) = dense.given(|other| other <= step + 1);
         for (state, at) in [0, 1, 3 + step].into_iter().enumerate() {
-            near(&format!("filtered {step}, state {state}"), states.mean[state], mean[at]);
-            near("its deviation", states.std_dev[state], covariance[(at, at)].sqrt());
+            near::mixed(format_args!("filtered {step}, state {state}"), states.mean[state], mean[at], 1e-11);
+            near::mixed("its deviation", states.std_dev[state], covariance[(at, at)].sqrt(), 1e-11);
         }
     }
 }

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::apply::{Applied, StateKind};
 use crate::export::{ExportError, Exported, Wanted, export};
 use kalfit_filter::reduce::Preparer;
+use kalfit_fixtures::near;
 use kalfit_model::Labels;
 use kalfit_model::build::{
     Columns, ModelBuilder, constant, fixed, gauss_markov, gauss_markov_2, integral, measurement, moving, name, phase,
@@ -80,14 +81,10 @@ fn compare(what: &str, model: &PhasedModel, wanted: &Wanted) -> Exported {
     let expected: Vec<_> = states[0][0].steps.iter().flat_map(|step| &step.measurements).collect();
     assert_eq!(found.len(), expected.len(), "{what}: measured values");
     for (k, ((value, deviation), own)) in found.into_iter().zip(expected).enumerate() {
-        near(&format!("{what}: value {k}"), value, own.value);
-        near(&format!("{what}: deviation {k}"), deviation, own.std_dev);
+        near::mixed(format_args!("{what}: value {k}"), value, own.value, 1e-10);
+        near::mixed(format_args!("{what}: deviation {k}"), deviation, own.std_dev, 1e-10);
     }
     filter
-}
-
-fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-10 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
 }
 
 fn stepped() -> Wanted {
@@ -178,7 +175,7 @@ fn columns_that_multiply_states_are_fixed_or_named() {
     // in another lot, `z` is never measured
     let other = export(&model, &alpha, &population(2), &at(at(stepped(), "T", "27"), "lot", "A")).expect("constant");
     assert_eq!(other.measurements, [0]);
-    near("the noise of other lots", other.R[(0, 0)], 0.81);
+    near::mixed("the noise of other lots", other.R[(0, 0)], 0.81, 1e-10);
     let no_step = refused(&at(at(Wanted::default(), "T", "27"), "lot", "B"));
     assert!(matches!(&no_step, ExportError::NoStep { what } if what.contains("walk")), "{no_step}");
 }
@@ -195,7 +192,7 @@ fn a_level_without_a_value_is_refused_with_those_that_have_one() {
     let error = export(&model, &alpha, &population(1), &at(Wanted::default(), "lot", "C")).expect_err("no such level");
     assert_eq!(error.to_string(), "parameter `sigma` has no value where `lot` is `C`, expected one of `A`, `B`");
     let known = export(&model, &alpha, &population(1), &at(Wanted::default(), "lot", "B")).expect("constant");
-    near("R", known.R[(0, 0)], 0.49);
+    near::mixed("R", known.R[(0, 0)], 0.49, 1e-10);
 }
 
 #[test]
@@ -210,7 +207,7 @@ fn the_mean_of_a_regression_is_that_of_its_column() {
     let error = export(&model, &Alpha::default(), &own, &Wanted::default()).expect_err("it varies");
     assert!(error.to_string().contains("regression of the mean of state `bias` depends on column `T`"), "{error}");
     let known = export(&model, &Alpha::default(), &own, &at(Wanted::default(), "T", "10")).expect("constant");
-    near("x0", known.start.expect("it starts").0[0], own.mean[0] + 2.0);
+    near::mixed("x0", known.start.expect("it starts").0[0], own.mean[0] + 2.0, 1e-10);
 }
 
 #[test]
@@ -227,7 +224,7 @@ fn a_phase_that_inherits_has_no_start_of_its_own() {
     assert!(of(Some("before")).expect("constant").start.is_some());
     let after = of(Some("after")).expect("constant");
     assert!(after.start.is_none());
-    near("R", after.R[(0, 0)], 0.81);
+    near::mixed("R", after.R[(0, 0)], 0.81, 1e-10);
     assert!(matches!(of(None), Err(ExportError::WhichPhase { .. })));
     assert!(matches!(of(Some("later")), Err(ExportError::UnknownPhase { .. })));
 }
@@ -249,12 +246,12 @@ fn the_start_is_that_of_the_reducer() {
     for i in 0..x0.len() {
         let estimated = |state: usize| model.shared().estimated.iter().position(|&own| own == state);
         let mean = work.data.start[place[i]] + estimated(i).map_or(0.0, |i| own.mean[i]);
-        near("x0", x0[i], mean);
+        near::mixed("x0", x0[i], mean, 1e-10);
         for k in 0..=i {
             let (a, b) = (place[i].max(place[k]), place[i].min(place[k]));
             let known = if a < r { work.design.variance[a * r + b] } else { 0.0 };
             let added = estimated(i).zip(estimated(k)).map_or(0.0, |(i, k)| own.covariance[(i, k)]);
-            near("P0", p0[(i, k)], known + added);
+            near::mixed("P0", p0[(i, k)], known + added, 1e-10);
         }
     }
 }

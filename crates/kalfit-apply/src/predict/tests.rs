@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::predict::{Initial, Output, PhasePredictions, Predicted, Predictor, What};
+use kalfit_fixtures::near;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::Labels;
 use kalfit_model::PhasedTest;
@@ -55,10 +56,6 @@ fn predicted(model: &PhasedModel, test: PhasedTest, knowledge: Knowledge) -> Vec
     predictor.predict(&[test], &[&initial]).expect("rows").remove(0)
 }
 
-fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
-}
-
 /// Mean, variance by the initial state and variance by process noise of (bias, slope, walk, y).
 fn expected(what: What, time: f64, u: f64) -> [f64; 3] {
     let walk = START * START + DENSITY * DENSITY * time;
@@ -73,9 +70,9 @@ fn expected(what: What, time: f64, u: f64) -> [f64; 3] {
 
 fn compare(value: &Predicted, (time, row): (f64, usize)) {
     let [mean, population, process] = expected(value.what, time, U[row]);
-    near(&format!("mean of {:?} in row {row}", value.what), value.mean, mean);
-    near("by the initial state", value.population, population);
-    near("by process noise", value.process, process);
+    near::mixed(format_args!("mean of {:?} in row {row}", value.what), value.mean, mean, 1e-9);
+    near::mixed("by the initial state", value.population, population, 1e-9);
+    near::mixed("by process noise", value.process, process, 1e-9);
 }
 
 #[test]
@@ -141,9 +138,9 @@ fn what_estimates_leave_open_follows_by_derivatives() {
                 (0..5).map(|i| (0..5).map(|k| of[i] * of[k] * covariance[(i, k)]).sum::<f64>()).sum()
             };
             let estimation = value.estimation.expect("all is determined");
-            near("of the mean", estimation.mean, variance(by_mean));
-            near("of the variance", estimation.variance, variance(by_variance));
-            near("of that by the initial state", estimation.population, variance(by_population));
+            near::mixed("of the mean", estimation.mean, variance(by_mean), 1e-9);
+            near::mixed("of the variance", estimation.variance, variance(by_variance), 1e-9);
+            near::mixed("of that by the initial state", estimation.population, variance(by_population), 1e-9);
             assert_eq!(estimation.lost, 1);
         }
     }
@@ -171,13 +168,13 @@ fn a_known_group_is_told_from_a_new_one() {
         covariance: model.phases[0].model.covariance.clone(),
     }];
     let initial = Initial::of_group(&grouped, &whole, (vec![0.9, -0.5], &left), None);
-    near("variance", initial.covariance[(0, 1)], 0.4);
-    near("what is left open", initial.left.as_ref().expect("of a known group")[(0, 1)], 0.02);
+    near::mixed("variance", initial.covariance[(0, 1)], 0.4, 1e-9);
+    near::mixed("what is left open", initial.left.as_ref().expect("of a known group")[(0, 1)], 0.02, 1e-9);
     let expected = &left * level.try_inverse().expect("positive");
     let found = initial.shrinkage.expect("there is one level");
-    found.iter().zip(&expected).for_each(|(found, expected)| near("shrinkage", *found, *expected));
+    found.iter().zip(&expected).for_each(|(found, expected)| near::mixed("shrinkage", *found, *expected, 1e-9));
     let new = Initial::new(&grouped, &whole);
-    near("of a new group", new.covariance[(1, 1)], 0.7 + 0.3);
+    near::mixed("of a new group", new.covariance[(1, 1)], 0.7 + 0.3, 1e-9);
 }
 
 /// Degrees of freedom are lost to the means of the states in a value and to the columns that the means are regressed

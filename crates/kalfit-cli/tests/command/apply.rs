@@ -4,8 +4,9 @@ use std::collections::HashMap;
 
 use insta::assert_snapshot;
 use kalfit::FitRecord;
+use kalfit_fixtures::near;
 
-use crate::folder::{self, Folder, number, shown};
+use crate::folder::{Folder, number, shown};
 
 const MODEL: &str = r#"
 title = "Wandering gyros"
@@ -52,10 +53,6 @@ fn fitted() -> Folder {
     folder
 }
 
-fn near(what: &str, found: f64, expected: f64) {
-    folder::near(what, (found, expected), 1e-9);
-}
-
 #[test]
 fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
     let folder = fitted();
@@ -91,21 +88,21 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
     ");
     let fit: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
     let (tests, states) = (folder.table("tests.csv"), folder.table("states.csv"));
-    near("all", tests.iter().map(|test| number(test, "log_density")).sum(), fit.log_likelihood);
+    near::mixed("all", tests.iter().map(|test| number(test, "log_density")).sum(), fit.log_likelihood, 1e-9);
     for (row, test) in tests.iter().zip(fit.tests.iter()) {
         assert_eq!((row["test"].as_str(), row["phase"].as_str()), (test.id, "main"));
-        near("log density", number(row, "log_density"), test.log_likelihood);
-        near("distance", number(row, "distance"), test.distance.unwrap());
-        near("posterior", number(row, "mean[bias]"), test.phases.get(0).mean[0]);
+        near::mixed("log density", number(row, "log_density"), test.log_likelihood, 1e-9);
+        near::mixed("distance", number(row, "distance"), test.distance.unwrap(), 1e-9);
+        near::mixed("posterior", number(row, "mean[bias]"), test.phases.get(0).mean[0], 1e-9);
         let innovations = test.innovations.as_ref().unwrap();
-        near("innovations", number(row, "nis"), innovations.nis.unwrap());
+        near::mixed("innovations", number(row, "nis"), innovations.nis.unwrap(), 1e-9);
         assert_eq!(row["observations"], innovations.count.to_string());
         // a state that does not move is at every step what its start is
         let own: Vec<_> = states.iter().filter(|state| state["test"] == test.id && state["name"] == "bias").collect();
         assert_eq!(own.len(), 10, "steps with nothing measured too");
         for state in own {
-            near("smoothed", number(state, "value"), number(row, "mean[bias]"));
-            near("its deviation", number(state, "std_dev"), number(row, "std_dev[bias]"));
+            near::mixed("smoothed", number(state, "value"), number(row, "mean[bias]"), 1e-9);
+            near::mixed("its deviation", number(state, "std_dev"), number(row, "std_dev[bias]"), 1e-9);
         }
     }
     // what states say of the measured values is the sum of them
@@ -118,7 +115,7 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
             };
             number(states.iter().find(own).unwrap(), "value")
         };
-        near("prediction", number(rate, "value"), same("bias") + same("walk"));
+        near::mixed("prediction", number(rate, "value"), same("bias") + same("walk"), 1e-9);
     }
 }
 
@@ -141,7 +138,7 @@ fn predictions_standardise_innovations() {
             let value = measured[&(row["test"].clone(), row["time"].clone())];
             ((value - number(row, "value")) / number(row, "std_dev")).powi(2)
         });
-        near("NIS", squares.sum(), number(test, "nis"));
+        near::mixed("NIS", squares.sum(), number(test, "nis"), 1e-9);
     }
 }
 
@@ -344,8 +341,8 @@ fn a_new_unit_is_compared_with_an_estimated_population() {
     let said = shown(&folder.run("apply m.toml new.csv --from fit.json --out t.csv"));
     let row = &folder.table("t.csv")[0];
     // mean 4, variance 40/6: 49 over it, and scipy.stats.f.sf(49 / (40 / 6) * 5 / 7, 1, 5)
-    folder::near("distance", (number(row, "distance"), 49.0 / (40.0 / 6.0)), 1e-6);
-    folder::near("p", (number(row, "p_value"), 0.070_535_765_2), 1e-5);
+    near::mixed("distance", number(row, "distance"), 49.0 / (40.0 / 6.0), 1e-6);
+    near::mixed("p", number(row, "p_value"), 0.070_535_765_2, 1e-5);
     assert!(said.contains("(F, 1 and 5 degrees of freedom)"), "{said}");
     let flowing = said.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(flowing.contains("allow for the errors of all estimates in fit.json (from 6 tests)"), "{said}");
@@ -360,7 +357,7 @@ fn a_new_unit_is_compared_with_an_estimated_population() {
     folder.write("silent.json", fit.to_string().as_bytes());
     let said = shown(&folder.run("apply m.toml new.csv --from silent.json --out s.csv"));
     assert!(said.contains("silent.json does not contain the covariance of its estimates"), "{said}");
-    folder::near("p", (number(&folder.table("s.csv")[0], "p_value"), 0.070_535_765_2), 1e-5);
+    near::mixed("p", number(&folder.table("s.csv")[0], "p_value"), 0.070_535_765_2, 1e-5);
 }
 
 /// The textbook filter with H, R and K of the two rows together where `e` is measured; `a` is 1.7 from then on.

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
 use insta::assert_snapshot;
+use kalfit_fixtures::near;
 use serde_json::Value;
 
 use crate::folder::{Folder, shown};
@@ -86,12 +87,8 @@ fn fits_stand_side_by_side_with_tests_of_one_within_another() {
     assert_eq!(record["schema"], "kalfit-compare/1");
     // lme4 on the same data: -875.9697 with 6 free, -876.0016 with 5; anova gives χ² = 0.0639 with 1, p = 0.8004
     let test = record["nested"].as_array().unwrap().iter().find(|test| test["null"] == 1).unwrap();
-    let near = |what: &str, found: &Value, expected: f64| {
-        let found = found.as_f64().unwrap();
-        assert!((found - expected).abs() < 1e-4, "{what}: {found} against {expected}");
-    };
-    near("-2 log λ", &test["lr"], 0.0639);
-    near("p", &test["p_value"], 0.8004);
+    near::absolute("-2 log λ", test["lr"].as_f64().unwrap(), 0.0639, 1e-4);
+    near::absolute("p", test["p_value"].as_f64().unwrap(), 0.8004, 1e-4);
     assert_eq!((test["df"].as_u64(), test["p_value_kind"].as_str()), (Some(1), Some("large-sample")));
     // and `kalfit test` on the same hypothesis
     folder.write("null.toml", b"[covariance]\nstructure = \"diagonal\"\n");

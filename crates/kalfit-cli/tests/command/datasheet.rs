@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
 use insta::assert_snapshot;
+use kalfit_fixtures::near;
 use serde_json::Value;
 
 use crate::folder::{Folder, shown};
@@ -69,27 +70,25 @@ fn the_numbers_are_those_of_the_fit() {
             .find(|entry| entry["name"] == name && entry["of"] == of)
             .unwrap_or_else(|| panic!("{name}: {all:#?}"))
     };
-    let near = |what: &str, found: &Value, expected: f64| {
-        let found = found.as_f64().unwrap();
-        println!("{what}: {found} against {expected}");
-        assert!((found - expected).abs() <= 1e-9 * expected.abs(), "{what}: {found} against {expected}");
+    let check = |what: &str, found: &Value, expected: f64| {
+        near::relative(what, found.as_f64().unwrap(), expected, 1e-9);
     };
     let sigma = &fit["parameters"][0];
     let factor = (0.5_f64 / 3600.0).sqrt();
     let walk = entry("angle random walk", "gyro");
     assert_eq!(walk["unit"], "deg/sqrt(h)");
-    near("N", &walk["value"], sigma["estimate"].as_f64().unwrap() * factor);
+    check("N", &walk["value"], sigma["estimate"].as_f64().unwrap() * factor);
     for end in 0..2 {
-        near("its end", &walk["interval95"][end], sigma["interval95"][end].as_f64().unwrap() * factor);
+        check("its end", &walk["interval95"][end], sigma["interval95"][end].as_f64().unwrap() * factor);
     }
     for (name, level) in [("turn-on repeatability, unit to unit (serial)", 0), ("turn-on repeatability, run to run", 1)]
     {
         let spread = &fit["levels"][level]["std_dev"];
-        near(name, &entry(name, "bias")["value"], spread["estimate"][0].as_f64().unwrap());
+        check(name, &entry(name, "bias")["value"], spread["estimate"][0].as_f64().unwrap());
         assert_eq!(entry(name, "bias")["interval95"], spread["interval95"][0], "{name}");
     }
     let scale = entry("scale factor mean", "scale");
-    near("scale", &scale["value"], fit["phases"][0]["mean"]["estimate"][1].as_f64().unwrap());
+    check("scale", &scale["value"], fit["phases"][0]["mean"]["estimate"][1].as_f64().unwrap());
     let curve = &sheet["allan"][0];
     assert_eq!((&curve["step"], &curve["tests"]), (&Value::from(0.5), &Value::from(18)));
     // the gap after 30 values leaves two spans of 10, and of no more than 15

@@ -3,6 +3,7 @@
 use crate::folder::{Folder, shown};
 use crate::unidentified::number;
 use insta::assert_snapshot;
+use kalfit_fixtures::near;
 use serde_json::Value;
 
 /// A line for each test, with a noise level for each lot.
@@ -271,12 +272,6 @@ fn case(model: &str) -> Folder {
     folder
 }
 
-#[track_caller]
-fn close(what: &str, found: f64, expected: f64, tolerance: f64) {
-    let error = (found - expected).abs() / tolerance;
-    assert!(error <= 1.0, "{what}: found {found}, expected {expected}: {error:.3e} x tolerance");
-}
-
 #[test]
 fn a_noise_level_is_estimated_with_mean_and_covariance() {
     let folder = case("lmm-sleepstudy/un.toml");
@@ -288,12 +283,12 @@ fn a_noise_level_is_estimated_with_mean_and_covariance() {
       sigma       25.6 ± 1.5  22.8 to 28.7
     ");
     let fit = json(&folder, "fit.json");
-    close("log-likelihood", number(&fit["log_likelihood"]), -875.9696722, 1e-6);
+    near::absolute("log-likelihood", number(&fit["log_likelihood"]), -875.9696722, 1e-6);
     assert_eq!(fit["free_parameters"], 6, "two means, three covariances, one noise level: as lme4 counts");
-    close("aic", number(&fit["aic"]), 2.0 * 6.0 + 2.0 * 875.9696722, 1e-5);
-    close("bic", number(&fit["bic"]), 6.0 * 180f64.ln() + 2.0 * 875.9696722, 1e-5);
+    near::absolute("aic", number(&fit["aic"]), 2.0 * 6.0 + 2.0 * 875.9696722, 1e-5);
+    near::absolute("bic", number(&fit["bic"]), 6.0 * 180f64.ln() + 2.0 * 875.9696722, 1e-5);
     let [sigma] = &fit["parameters"].as_array().expect("a list")[..] else { panic!("{}", fit["parameters"]) };
-    close("sigma", number(&sigma["estimate"]), 25.5918, 1e-4);
+    near::absolute("sigma", number(&sigma["estimate"]), 25.5918, 1e-4);
     let expected = [
         ("per", Value::Null),
         ("level", Value::Null),
@@ -327,12 +322,12 @@ fn three_methods_are_shown_side_by_side_and_agree() {
     for method in methods {
         let name = method["method"].as_str().expect("a name");
         assert_eq!(method["converged"], true, "{name}: {}", method["reason"]);
-        close(name, number(&method["log_likelihood"]), -637.60293209092, 1e-6);
-        close(&format!("walk by {name}"), number(&method["values"][0]), 35.77193701576698, 1e-3);
-        close(&format!("sigma by {name}"), number(&method["values"][1]), 123.61018868645093, 1e-3);
+        near::absolute(name, number(&method["log_likelihood"]), -637.60293209092, 1e-6);
+        near::absolute(format_args!("walk by {name}"), number(&method["values"][0]), 35.77193701576698, 1e-3);
+        near::absolute(format_args!("sigma by {name}"), number(&method["values"][1]), 123.61018868645093, 1e-3);
     }
     assert_eq!(fit["solver"]["method"], "hybrid");
-    close("log-likelihood", number(&fit["log_likelihood"]), number(&methods[0]["log_likelihood"]), 1e-12);
+    near::absolute("log-likelihood", number(&fit["log_likelihood"]), number(&methods[0]["log_likelihood"]), 1e-12);
 }
 
 #[test]
@@ -344,8 +339,8 @@ fn one_value_for_all_levels_is_a_hypothesis_with_as_many_degrees_of_freedom_as_v
     let test = json(&folder, "t.json");
     // of another program, which maximised both: with one noise level and with one for each lot
     let (null, alternative) = (-441.4096390402, -403.2504507276);
-    close("model", number(&test["alternative"]["log_likelihood"]), alternative, 1e-6);
-    close("-2 log λ", number(&test["lr"]), 2.0 * (alternative - null), 1e-3);
+    near::absolute("model", number(&test["alternative"]["log_likelihood"]), alternative, 1e-6);
+    near::absolute("-2 log λ", number(&test["lr"]), 2.0 * (alternative - null), 1e-3);
     assert_eq!((&test["df"], &test["null"]["free_parameters"]), (&2.into(), &8.into()));
 }
 
@@ -386,14 +381,14 @@ fn a_noise_level_of_zero_is_tested_against_a_mixture() {
     ");
     let test = json(&folder, "t.json");
     // both fits by statsmodels
-    close("-2 log λ", number(&test["lr"]), 2.0 * (654.5157332521 - 637.60293209092), 1e-5);
+    near::absolute("-2 log λ", number(&test["lr"]), 2.0 * (654.5157332521 - 637.60293209092), 1e-5);
     let drawn = |seed: &str| {
         let text = said(&folder, &format!("{command} --bootstrap 20 --seed {seed}"));
         assert!(text.starts_with("exit 0"), "{text}");
         json(&folder, "t.json")["bootstrap"].clone()
     };
     let first = drawn("3");
-    close("p-value", number(&first["p_value"]), 1.0 / 21.0, 1e-12);
+    near::absolute("p-value", number(&first["p_value"]), 1.0 / 21.0, 1e-12);
     assert_eq!(first, drawn("3"), "the same seed draws the same ensembles");
     assert_ne!(first["quantile95"], drawn("4")["quantile95"]);
 }
@@ -452,8 +447,8 @@ fn a_level_far_below_all_else_returns_from_zero_where_it_is_no_maximum() {
     let fit = json(&folder, "fit.json");
     assert_eq!(fit["converged"], true);
     // by a closed form in 60 digits; at r = 0 it is 55.9010017
-    close("log-likelihood", number(&fit["log_likelihood"]), 56.189_505_3, 1e-7);
-    close("r", number(&fit["parameters"][0]["estimate"]), 5.0972e-5, 1e-8);
+    near::absolute("log-likelihood", number(&fit["log_likelihood"]), 56.189_505_3, 1e-7);
+    near::absolute("r", number(&fit["parameters"][0]["estimate"]), 5.0972e-5, 1e-8);
 }
 
 /// The same with a motion of 3 000 000 times the noise, whose first state is known: without noise the second instrument's first value
@@ -475,7 +470,7 @@ fn a_step_that_is_not_taken_does_not_hold_a_level_above_its_maximum() {
         let fit = json(&folder, "fit.json");
         assert_eq!(fit["converged"], true, "{method}");
         // in 50 digits; at r = 1.984e-4, where the search was held, it is 17.281
-        close("log-likelihood", number(&fit["log_likelihood"]), 18.708_910_587, 1e-7);
-        close("r", number(&fit["parameters"][0]["estimate"]), 1.288_155_4e-4, 1e-8);
+        near::absolute("log-likelihood", number(&fit["log_likelihood"]), 18.708_910_587, 1e-7);
+        near::absolute("r", number(&fit["parameters"][0]["estimate"]), 1.288_155_4e-4, 1e-8);
     }
 }

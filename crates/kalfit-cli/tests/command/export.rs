@@ -6,6 +6,7 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 
 use insta::assert_snapshot;
+use kalfit_fixtures::near;
 use serde_json::Value;
 
 use crate::folder::{Folder, shown};
@@ -261,18 +262,17 @@ fn json_has_the_keys_that_scripts_rely_on() {
     assert_eq!(record["states"], serde_json::json!(["bias", "drift", "angle"]));
     assert_eq!(record["inputs"], serde_json::json!(["rate", "1"]));
     // by hand: exp(-0.5/3), and what a rate of 1 moves the angle in half a second
-    let near = |what: &str, found: &Value, expected: f64| {
-        let found = found.as_f64().unwrap();
-        assert!((found - expected).abs() < 1e-12, "{what}: {found} against {expected}");
+    let check = |what: &str, found: &Value, expected: f64| {
+        near::absolute(what, found.as_f64().unwrap(), expected, 1e-12);
     };
-    near("F of the drift", &record["F"][1][1], (-0.5_f64 / 3.0).exp());
-    near("Q of the drift", &record["Q"][1][1], 0.16 * (1.0 - (-1.0_f64 / 3.0).exp()));
-    near("B of the angle", &record["B"][2][0], 0.25);
-    near("of the constant", &record["B"][2][1], -0.25);
-    near("D of the gyro", &record["D"][1][0], 0.3);
-    near("R", &record["R"][0][1], 0.02);
-    near("P0 of the angle", &record["P0"][2][2], 0.04);
-    near("P0 of the drift", &record["P0"][1][1], 0.16);
+    check("F of the drift", &record["F"][1][1], (-0.5_f64 / 3.0).exp());
+    check("Q of the drift", &record["Q"][1][1], 0.16 * (1.0 - (-1.0_f64 / 3.0).exp()));
+    check("B of the angle", &record["B"][2][0], 0.25);
+    check("of the constant", &record["B"][2][1], -0.25);
+    check("D of the gyro", &record["D"][1][0], 0.3);
+    check("R", &record["R"][0][1], 0.02);
+    check("P0 of the angle", &record["P0"][2][2], 0.04);
+    check("P0 of the drift", &record["P0"][1][1], 0.16);
     // from the values of a model, too
     let fixed = MODEL.replace(
         "sigma = { start = 0.3 }",
@@ -282,8 +282,8 @@ fn json_has_the_keys_that_scripts_rely_on() {
     let output = folder.run("export m.toml --from truth.toml --step 0.5 --out t.json --quiet");
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
     let record: Value = serde_json::from_slice(&std::fs::read(folder.path("t.json")).unwrap()).unwrap();
-    near("x0", &record["x0"][0], 1.0);
-    near("P0", &record["P0"][0][0], 4.0);
+    check("x0", &record["x0"][0], 1.0);
+    check("P0", &record["P0"][0][0], 4.0);
 }
 
 #[test]

@@ -111,8 +111,3 @@ pub(crate) fn steady(text: &str) -> String {
 pub(crate) fn number(row: &HashMap<String, String>, column: &str) -> f64 {
     row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
 }
-
-/// Fails, with both numbers, where they differ by more than a part of their size.
-pub(crate) fn near(what: &str, (found, expected): (f64, f64), part: f64) {
-    assert!((found - expected).abs() < part * (1.0 + expected.abs()), "{what}: {found} against {expected}");
-}

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
+use kalfit_fixtures::near;
 use serde_json::Value;
 
 use crate::folder::{Folder, shown};
@@ -48,13 +49,10 @@ fn figures_of_groups_are_those_of_their_tests_together() {
         let tests = || fit["tests"].as_array().unwrap().iter().filter(|test| test["group"] == group["group"]);
         assert_eq!((group["tests"].as_u64(), tests().count()), (Some(30), 30));
         let sum = |of: &dyn Fn(&Value) -> f64| tests().map(of).sum::<f64>();
-        let near = |what: &str, expected: f64| {
-            let found = group[what].as_f64().unwrap();
-            assert!((found - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{what}: {found} {expected}");
-        };
-        near("log_likelihood", sum(&|test| test["log_likelihood"].as_f64().unwrap()));
-        near("distance", sum(&|test| test["distance"].as_f64().unwrap()));
-        near("innovations_mean_square", sum(&|test| test["innovations"]["nis"].as_f64().unwrap()) / 120.0);
+        let check = |what: &str, expected: f64| near::mixed(what, group[what].as_f64().unwrap(), expected, 1e-9);
+        check("log_likelihood", sum(&|test| test["log_likelihood"].as_f64().unwrap()));
+        check("distance", sum(&|test| test["distance"].as_f64().unwrap()));
+        check("innovations_mean_square", sum(&|test| test["innovations"]["nis"].as_f64().unwrap()) / 120.0);
         assert_eq!(group["innovations"], 120);
         // the second lot has three times the noise
         let p = group["innovations_p_value"].as_f64().unwrap();

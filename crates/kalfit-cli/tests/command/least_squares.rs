@@ -3,8 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
 use kalfit::FitRecord;
+use kalfit_fixtures::near;
 
-use crate::folder::{Folder, near, shown};
+use crate::folder::{Folder, shown};
 
 const X: [f64; 7] = [0.3, 1.9, 0.8, 1.4, 0.1, 1.1, 1.7];
 const Y: [f64; 7] = [2.9, 7.6, 5.2, 4.1, 3.4, 5.9, 5.8];
@@ -66,7 +67,7 @@ fn limits_of_the_mean_are_those_of_students_t() {
     for (way, criterion) in [(0, "ml"), (1, "ml"), (2, "ml"), (0, "reml"), (1, "reml")] {
         let (found, _) = predicted(WAYS[way], criterion);
         for (found, expected) in found.into_iter().zip(expected) {
-            near(&format!("{} by {criterion}", WAYS[way].1), (found, expected), 1e-6);
+            near::mixed(format_args!("{} by {criterion}", WAYS[way].1), found, expected, 1e-6);
         }
     }
 }
@@ -76,14 +77,14 @@ fn limits_of_the_mean_are_those_of_students_t() {
 fn a_mean_follows_a_parameter_under_the_restricted_likelihood() {
     let (found, record) = predicted(WAYS[2], "reml");
     let (mean, error) = least_squares(X.len() as f64 - 1.0);
-    near("mean", (found[0], mean), 1e-6);
+    near::mixed("mean", found[0], mean, 1e-6);
     let estimates = record.estimates.expect("there are not many");
     let names = &estimates.names;
     let place = |what: &str| names.iter().position(|name| name == what).unwrap_or_else(|| panic!("{names:?}"));
     let covariance = |i: usize, k: usize| estimates.covariance[i][k];
     let (a, b) = (place("mean[a]"), place("b"));
     let variance = covariance(a, a) + 2.0 * AT * covariance(a, b) + AT * AT * covariance(b, b);
-    near("standard error of a + b x", (variance.sqrt(), error), 1e-5);
+    near::mixed("standard error of a + b x", variance.sqrt(), error, 1e-5);
     let of_mean = record.phases[0].mean.std_error[0].expect("it has one");
-    near("standard error of a", (of_mean, covariance(a, a).sqrt()), 1e-9);
+    near::mixed("standard error of a", of_mean, covariance(a, a).sqrt(), 1e-9);
 }

@@ -4,8 +4,9 @@
 
 use insta::assert_snapshot;
 use kalfit::FitRecord;
+use kalfit_fixtures::near;
 
-use crate::folder::{self, Folder, number, shown};
+use crate::folder::{Folder, number, shown};
 
 const MODEL: &str = r#"
 title = "Wandering gyros"
@@ -66,10 +67,6 @@ fn fitted() -> Folder {
 
 fn record(folder: &Folder) -> FitRecord {
     serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap()
-}
-
-fn near(what: &str, found: f64, expected: f64) {
-    folder::near(what, (found, expected), 1e-7);
 }
 
 #[test]
@@ -134,15 +131,15 @@ fn a_mission_is_what_the_fit_makes_of_it() {
             "angle" => (gain * mean, gain * gain * variance, 0.0, gain * error),
             _ => (mean + 0.5, variance, q * q * time, error),
         };
-        near("mean", number(row, "mean"), expected);
-        near("population", number(row, "std_dev_population"), population.sqrt());
-        near("process", number(row, "std_dev_process"), process.sqrt());
-        near("estimation", number(row, "std_dev_estimation"), estimation);
+        near::mixed("mean", number(row, "mean"), expected, 1e-7);
+        near::mixed("population", number(row, "std_dev_population"), population.sqrt(), 1e-7);
+        near::mixed("process", number(row, "std_dev_process"), process.sqrt(), 1e-7);
+        near::mixed("estimation", number(row, "std_dev_estimation"), estimation, 1e-7);
         let all = population + process + estimation * estimation;
-        near("all", number(row, "std_dev"), all.sqrt());
+        near::mixed("all", number(row, "std_dev"), all.sqrt(), 1e-7);
         let half = number(row, "tolerance_upper") - expected;
         assert!(half >= 1.96 * (population + process).sqrt(), "{row:?}");
-        near("both sides", expected - number(row, "tolerance_lower"), half);
+        near::mixed("both sides", expected - number(row, "tolerance_lower"), half, 1e-7);
         assert!(number(row, "confidence_upper") <= number(row, "tolerance_upper") + 1e-12, "{row:?}");
     }
 }
@@ -205,8 +202,8 @@ fn values_that_are_given_are_exact() {
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
     let rows = folder.table("p.csv");
     let walk = rows.iter().rfind(|row| row["name"] == "walk").unwrap();
-    near("process", number(walk, "std_dev_process"), 0.2 * 3.0);
-    near("tolerance", number(walk, "tolerance_upper"), 0.6 * 1.959_963_984_5);
+    near::mixed("process", number(walk, "std_dev_process"), 0.2 * 3.0, 1e-7);
+    near::mixed("tolerance", number(walk, "tolerance_upper"), 0.6 * 1.959_963_984_5, 1e-7);
 }
 
 #[test]
@@ -274,15 +271,15 @@ fn runs_of_a_known_unit_are_near_its_own_level() {
     let record = record(&folder);
     let [unit, own] = [0, 1].map(|level| record.levels[level].covariance.estimate[0][0]);
     let new = &predicted("--design new.csv")[0];
-    near("mean of a new unit", number(new, "mean"), record.phases[0].mean.estimate[0]);
-    near("spread of a new unit", number(new, "std_dev_population").powi(2), unit + own);
+    near::mixed("mean of a new unit", number(new, "mean"), record.phases[0].mean.estimate[0], 1e-7);
+    near::mixed("spread of a new unit", number(new, "std_dev_population").powi(2), unit + own, 1e-7);
     for (row, name) in predicted("--design known.csv --units known").iter().zip(["u0", "u5"]) {
         let known = record.groups.iter().find(|unit| unit.id == [name]).unwrap();
-        near("mean of a known unit", number(row, "mean"), known.mean[0]);
-        near("spread of its runs", number(row, "std_dev_population").powi(2), own);
+        near::mixed("mean of a known unit", number(row, "mean"), known.mean[0], 1e-7);
+        near::mixed("spread of its runs", number(row, "std_dev_population").powi(2), own, 1e-7);
         let left = known.covariance[0][0];
         let hangs = left / unit * record.phases[0].mean.std_error[0].unwrap();
-        near("what is left of the mean", number(row, "std_dev_estimation"), left.sqrt().hypot(hangs));
+        near::mixed("what is left of the mean", number(row, "std_dev_estimation"), left.sqrt().hypot(hangs), 1e-7);
         let half = number(row, "confidence_upper") - number(row, "mean");
         assert!(half > left.sqrt(), "limits of the mean: {half} of {}", left.sqrt());
     }
@@ -324,7 +321,7 @@ fn a_known_unit_is_known_wherever_covariates_count_from() {
     let (near_by, far) = (predicted(0.0), predicted(1000.0));
     for (near_by, far) in near_by.iter().zip(&far) {
         for column in ["mean", "std_dev_population", "std_dev_estimation", "confidence_lower", "confidence_upper"] {
-            folder::near(column, (number(far, column), number(near_by, column)), 1e-5);
+            near::mixed(column, number(far, column), number(near_by, column), 1e-5);
         }
     }
 }

@@ -2,9 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
+use kalfit_fixtures::near;
 use serde_json::Value;
 
-use crate::folder::{Folder, near, shown};
+use crate::folder::{Folder, shown};
 
 /// Fits a model of data; what was printed, and fit.json.
 fn fit(model: &str, data: &str, options: &str) -> (String, Value) {
@@ -45,7 +46,7 @@ fn a_factor_of_a_state_is_not_told_from_its_mean_and_variance() {
     let data = format!("test,y\n{data}");
     let (text, found) = fit(&model("k * a", "k = { start = 0.7 }\n"), &data, "");
     let (_, known) = fit(&model("a", ""), &data, "");
-    near("ℓ", (number(&found["log_likelihood"]), number(&known["log_likelihood"])), 1e-9);
+    near::mixed("ℓ", number(&found["log_likelihood"]), number(&known["log_likelihood"]), 1e-9);
     let phase = &found["phases"][0];
     assert_eq!(phase["mean"]["std_error"][0], Value::Null, "{text}");
     assert_eq!(phase["covariance"]["std_error"][0][0], Value::Null, "{text}");
@@ -54,9 +55,9 @@ fn a_factor_of_a_state_is_not_told_from_its_mean_and_variance() {
     let of = |name: &str| found["parameters"].as_array().unwrap().iter().find(|own| own["name"] == name).unwrap();
     assert_eq!((&of("k")["std_error"], &of("k")["standing"]), (&Value::Null, &Value::from("unidentified")), "{text}");
     let error = |found: &Value| number(&found["parameters"][0]["std_error"]);
-    near("standard error of the noise", (error(&found), error(&known)), 1e-5);
+    near::mixed("standard error of the noise", error(&found), error(&known), 1e-5);
     let kept = number(&of("k")["estimate"]) * number(&phase["mean"]["estimate"][0]);
-    near("k μ", (kept, number(&known["phases"][0]["mean"]["estimate"][0])), 1e-6);
+    near::mixed("k μ", kept, number(&known["phases"][0]["mean"]["estimate"][0]), 1e-6);
 }
 
 /// No test sees a and b together: their covariance is open, and ℓ bends along it by what is left of the score alone.
@@ -95,12 +96,12 @@ fn factors_that_start_at_zero_leave_it() {
     let states = "[states.a]\n[mean]\nfixed = { a = 3 }\n";
     let (text, found) = fit(&of_y("k1 * k2 * a", "s", &["k1", "k2", "s"], states), &data, "");
     let (_, one) = fit(&of_y("k * a", "s", &["k", "s"], states), &data, "");
-    near("ℓ", (number(&found["log_likelihood"]), number(&one["log_likelihood"])), 1e-7);
+    near::mixed("ℓ", number(&found["log_likelihood"]), number(&one["log_likelihood"]), 1e-7);
     for name in ["k1", "k2"] {
         assert_eq!(parameter(&found, name)["standing"], "unidentified", "{text}");
     }
     let error = |found: &Value| number(&found["phases"][0]["covariance"]["std_error"][0][0]);
-    near("error of the variance", (error(&found), error(&one)), 1e-4);
+    near::mixed("error of the variance", error(&found), error(&one), 1e-4);
 }
 
 /// Of two factors of a noise only their product is known: of mean and variance all that is known without the second.
@@ -110,13 +111,13 @@ fn factors_of_a_noise_are_no_matter_of_mean_and_variance() {
     let data = format!("test,t,y\n{rows}");
     let (text, found) = fit(&of_y("a", "s * g", &["s", "g"], "[states.a]\n"), &data, "");
     let (_, one) = fit(&of_y("a", "s", &["s"], "[states.a]\n"), &data, "");
-    near("ℓ", (number(&found["log_likelihood"]), number(&one["log_likelihood"])), 1e-9);
+    near::mixed("ℓ", number(&found["log_likelihood"]), number(&one["log_likelihood"]), 1e-9);
     for name in ["s", "g"] {
         assert_eq!(parameter(&found, name)["standing"], "unidentified", "{text}");
     }
     for what in ["mean", "std_dev"] {
         let error = |found: &Value| number(&found["phases"][0][what]["std_error"][0]);
-        near(what, (error(&found), error(&one)), 1e-4);
+        near::mixed(what, error(&found), error(&one), 1e-4);
     }
     assert_eq!(found["phases"][0]["unidentified"], Value::Array(Vec::new()), "{text}");
 }

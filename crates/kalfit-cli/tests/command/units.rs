@@ -4,9 +4,10 @@
 
 use std::collections::BTreeSet;
 
+use kalfit_fixtures::near;
 use serde_json::Value;
 
-use crate::folder::{Folder, near, shown};
+use crate::folder::{Folder, shown};
 use crate::unidentified::{self, number, parameter};
 
 /// Fits a model of data with the columns test, t, x and y; what was printed, and fit.json.
@@ -110,8 +111,8 @@ fn a_coefficient_does_not_hang_on_where_its_column_counts_from() {
             .collect();
         let (shown, found) = fit(&model, &shifted);
         let own = parameter(&found, "q");
-        near("ℓ", (number(&found["log_likelihood"]), number(&about_zero["log_likelihood"])), 1e-6);
-        near("q", (number(&own["estimate"]), number(&known["estimate"])), 1e-2 * digits);
+        near::mixed("ℓ", number(&found["log_likelihood"]), number(&about_zero["log_likelihood"]), 1e-6);
+        near::mixed("q", number(&own["estimate"]), number(&known["estimate"]), 1e-2 * digits);
         let (error, expected) = (number(&own["std_error"]), number(&known["std_error"]));
         assert!((error / expected - 1.0).abs() < digits, "{offset}: {error} against {expected}\n{shown}\n{text}");
     }
@@ -124,7 +125,7 @@ fn a_column_far_from_zero_is_named() {
     let data = |offset: f64| rows(12, 5, &|j, k| wave(j, k) + offset, (1.0, 1.0));
     let centred = fit(&of_y("a + q * (x - 10000000)", states, &["s"]), &data(1e7)).1;
     let (text, found) = fit(&of_y("a + q * x", states, &["s"]), &data(1e7));
-    near("ℓ", (number(&found["log_likelihood"]), number(&centred["log_likelihood"])), 1e-4);
+    near::mixed("ℓ", number(&found["log_likelihood"]), number(&centred["log_likelihood"]), 1e-4);
     assert_eq!(found["phases"][0]["mean"]["std_error"], serde_json::json!([null, null]), "{text}");
     let notes = found["notes"].to_string();
     assert!(notes.contains("column `x` lies") && notes.contains("`(x - 1e7)`"), "{notes}");
@@ -206,7 +207,7 @@ fn the_top_of_a_narrow_ridge_is_found() {
     let about_zero = fit(0.0);
     for offset in [300.0, 1000.0, 2015.0, 2e4] {
         let found = fit(offset);
-        near("ℓ", (number(&found["log_likelihood"]), number(&about_zero["log_likelihood"])), 1e-6);
+        near::mixed("ℓ", number(&found["log_likelihood"]), number(&about_zero["log_likelihood"]), 1e-6);
         let (own, expected) = (error(&found), error(&about_zero));
         assert!((own / expected - 1.0).abs() < 1e-2, "q at {offset}: {own} for {expected}");
     }
@@ -224,9 +225,9 @@ fn errors_beside_a_vanishing_noise_are_those_of_its_hessian() {
     let (text, found) = fit(&model, WALKS);
     assert_eq!(parameter(&found, "s")["standing"], "lower", "{text}");
     for (k, expected) in [(0, 0.717_539_7), (1, 0.070_118_11)] {
-        near("mean", (number(&found["phases"][0]["mean"]["std_error"][k]), expected), 1e-5);
+        near::mixed("mean", number(&found["phases"][0]["mean"]["std_error"][k]), expected, 1e-5);
     }
-    near("g", (number(&parameter(&found, "g")["std_error"]), 0.052_885_57), 1e-3);
+    near::mixed("g", number(&parameter(&found, "g")["std_error"]), 0.052_885_57, 1e-3);
 }
 
 const WALKS: &str = "\

@@ -170,6 +170,8 @@ fn packed(factor: &[f64], i: usize, k: usize) -> f64 {
 mod tests {
     use nalgebra::DVector;
 
+    use kalfit_fixtures::near;
+
     use super::*;
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
     use kalfit_model::Path;
@@ -255,15 +257,15 @@ mod tests {
         let plain = chained.at(&mean, &root, ChainDetail::Between);
         let needs_rotations =
             ChainedClass { needs_rotations: true, ..chained.clone() }.at(&mean, &root, ChainDetail::Between);
-        let close = |what: &str, a: f64, b: f64| assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{what}: {a} {b}");
-        close("quadratic form", plain.quadratic, needs_rotations.quadratic);
-        close(
+        near::mixed("quadratic form", plain.quadratic, needs_rotations.quadratic, 1e-12);
+        near::mixed(
             "determinant",
             plain.root_det.0 * 2f64.powf(plain.root_det.1),
             needs_rotations.root_det.0 * 2f64.powf(needs_rotations.root_det.1),
+            1e-12,
         );
         for (a, b) in plain.W.iter().flatten().zip(needs_rotations.W.iter().flatten()) {
-            (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| close("W", a[at], b[at]));
+            (0..3).flat_map(|i| (0..3).map(move |k| (i, k))).for_each(|at| near::mixed("W", a[at], b[at], 1e-12));
         }
     }
 

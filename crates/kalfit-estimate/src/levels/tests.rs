@@ -13,6 +13,8 @@ use crate::{
 };
 use kalfit_algebra::symmetric::pair;
 use kalfit_filter::reduce::Reductions;
+use kalfit_fixtures::dense::Linear;
+use kalfit_fixtures::near;
 use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Alpha, CovarianceStructure, MeanElement, MeanStructure, Regression};
@@ -133,11 +135,6 @@ impl Ensemble {
         (0..self.grouping.depth()).filter(shared).fold(own, |sum, l| sum + &sigmas[l + 1])
     }
 
-    fn factor(&self, j: usize) -> DMatrix<f64> {
-        let r = self.reductions.get(j);
-        DMatrix::from_fn(self.p, self.p, |i, k| if i <= k { r.factor[pair(k, 0) + i] } else { 0.0 })
-    }
-
     fn mean_of(&self, j: usize, mean: &[f64], coefficients: &[f64]) -> DVector<f64> {
         let mut mu = DVector::from_column_slice(mean);
         for (r, x) in self.mean.regression.iter().zip(self.reductions.covariates(j)) {
@@ -158,30 +155,28 @@ impl Ensemble {
         prior
     }
 
-    /// log p and (covariance of ξ of all tests of a unit, R of all, d - Rμ of all, S).
-    fn dense_unit(
-        &self,
-        unit: &[usize],
-        (mean, coefficients): (&[f64], &[f64]),
-        sigmas: &[DMatrix<f64>],
-    ) -> (f64, DMatrix<f64>, DMatrix<f64>, DVector<f64>, DMatrix<f64>) {
+    /// d of all tests of a unit, given how far their ξ are from their means.
+    fn law(&self, unit: &[usize], (mean, coefficients): (&[f64], &[f64])) -> Linear {
         let (p, n) = (self.p, unit.len() * self.p);
-        let (prior, mut factor, mut e) = (self.prior(unit, sigmas), DMatrix::zeros(n, n), DVector::zeros(n));
+        let (mut factor, mut e) = (DMatrix::zeros(n, n), DVector::zeros(n));
         for (a, &i) in unit.iter().enumerate() {
-            let r = self.factor(i);
-            let d = DVector::from_column_slice(self.reductions.get(i).data);
-            e.rows_mut(a * p, p).copy_from(&(d - &r * self.mean_of(i, mean, coefficients)));
-            factor.view_mut((a * p, a * p), (p, p)).copy_from(&r);
+            let own = Linear::of(self.reductions.get(i));
+            e.rows_mut(a * p, p).copy_from(&own.error(&self.mean_of(i, mean, coefficients)));
+            factor.view_mut((a * p, a * p), (p, p)).copy_from(&own.sensitivity);
         }
-        let s = DMatrix::identity(n, n) + &factor * &prior * factor.transpose();
-        let cholesky = s.clone().cholesky().expect("positive");
-        let log_det = 2.0 * cholesky.l().diagonal().map(f64::ln).sum();
+        Linear { residual: e, sensitivity: factor, covariance: DMatrix::identity(n, n) }
+    }
+
+    /// log p of a unit.
+    fn dense_unit(&self, unit: &[usize], mean: (&[f64], &[f64]), sigmas: &[DMatrix<f64>]) -> f64 {
+        let (law, n) = (self.law(unit, mean), unit.len() * self.p);
         let constant: f64 = unit.iter().map(|&j| self.reductions.get(j).constant).sum();
-        (constant - 0.5 * (log_det + e.dot(&cholesky.solve(&e))), prior, factor, e, s)
+        let half = 0.5 * n as f64 * std::f64::consts::TAU.ln();
+        constant + half + law.log_density(&DVector::zeros(n), &self.prior(unit, sigmas))
     }
 
     fn dense(&self, mean: (&[f64], &[f64]), sigmas: &[DMatrix<f64>]) -> f64 {
-        self.units().iter().map(|unit| self.dense_unit(unit, mean, sigmas).0).sum()
+        self.units().iter().map(|unit| self.dense_unit(unit, mean, sigmas)).sum()
     }
 }
 
@@ -298,8 +293,10 @@ fn the_expected_information_is_what_the_observed_one_is_on_average() {
         let (p, frame, elements) = (ensemble.p, &problem.classes.frame, &sums.elements);
         let mut expected = DMatrix::<f64>::zeros(elements.count(), elements.count());
         for unit in ensemble.units() {
-            let (_, _, factor, _, s) = ensemble.dense_unit(&unit, (&here.0, &here.1), &here.2);
-            let inverse = s.cholesky().expect("positive").inverse();
+            let law = ensemble.law(&unit, (&here.0, &here.1));
+            let factor = &law.sensitivity;
+            let total = law.total(&ensemble.prior(&unit, &here.2));
+            let inverse = total.cholesky().expect("positive").inverse();
             let slopes: Vec<DMatrix<f64>> = elements
                 .all()
                 .map(|(i, k)| {
@@ -308,7 +305,7 @@ fn the_expected_information_is_what_the_observed_one_is_on_average() {
                     sigma[(i % p, k % p)] = frame.scale[i] * frame.scale[k];
                     sigma[(k % p, i % p)] = frame.scale[i] * frame.scale[k];
                     let prior = ensemble.prior(&unit, &sigmas);
-                    &inverse * &factor * prior * factor.transpose()
+                    &inverse * factor * prior * factor.transpose()
                 })
                 .collect();
             for (a, one) in slopes.iter().enumerate() {
@@ -336,11 +333,11 @@ fn posteriors_are_those_of_the_joint_gaussian() {
         let (p, frame) = (ensemble.p, &problem.classes.frame);
         let mut log_density = 0.0;
         for unit in ensemble.units() {
-            let (value, prior, factor, e, s) = ensemble.dense_unit(&unit, (&here.0, &here.1), &here.2);
-            let inverse = s.cholesky().expect("positive").inverse();
-            let quadratic = e.dot(&(&inverse * &e));
-            let gain = &prior * factor.transpose() * inverse;
-            let (shift, covariance) = (&gain * e, &prior - &gain * &factor * &prior);
+            let value = ensemble.dense_unit(&unit, (&here.0, &here.1), &here.2);
+            let (law, prior) = (ensemble.law(&unit, (&here.0, &here.1)), ensemble.prior(&unit, &here.2));
+            let e = &law.residual;
+            let quadratic = e.dot(&law.total(&prior).cholesky().expect("positive").solve(e));
+            let (shift, covariance) = law.given(&DVector::zeros(e.len()), &prior);
             for (a, &j) in unit.iter().enumerate() {
                 let own = &found.tests[ensemble.grouping.number(ensemble.reductions.id(j)).expect("it was named")];
                 let mean = ensemble.mean_of(j, &here.0, &here.1);
@@ -475,12 +472,12 @@ fn units_in_lanes_say_what_they_say_one_by_one() {
         });
         assert_eq!(tests, ensemble.reductions.len());
         assert!((together.value - value).abs() < 1e-12 * value.abs(), "{} {value}", together.value);
-        let close = |found: &[f64], expected: &[f64]| {
-            let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs() / (1.0 + b.abs())).fold(0.0, f64::max);
-            assert!(off < 1e-11, "{off}: {found:?} {expected:?}");
+        let check = |what: &str, found: &[f64], expected: &[f64]| {
+            assert_eq!(found.len(), expected.len(), "{what}");
+            found.iter().zip(expected).for_each(|(a, b)| near::mixed(what, *a, *b, 1e-11));
         };
-        close(together.mean_score.as_slice(), score.as_slice());
-        close(together.outer.as_slice(), outer.as_slice());
-        close(together.weight.as_slice(), weight.as_slice());
+        check("score of μ", together.mean_score.as_slice(), score.as_slice());
+        check("outer products", together.outer.as_slice(), outer.as_slice());
+        check("weight", together.weight.as_slice(), weight.as_slice());
     }
 }

@@ -100,6 +100,8 @@ fn with_fewest_columns(root: &DMatrix<f64>) -> DMatrix<f64> {
 
 #[cfg(test)]
 mod tests {
+    use kalfit_fixtures::near;
+
     use super::*;
 
     /// Measurements of (σ_1, σ_2, σ_3): weight, e, t.
@@ -125,10 +127,6 @@ mod tests {
         (seen, mean, covariance)
     }
 
-    fn assert_near(what: &str, found: f64, expected: f64, size: f64) {
-        assert!((found - expected).abs() <= 1e-11 * size, "{what}: {found} against {expected}");
-    }
-
     #[test]
     fn measurements_come_in_as_in_the_textbook() {
         let mean = DVector::from_vec(vec![0.5, -1.0, 2.0]);
@@ -143,13 +141,13 @@ mod tests {
             let mut law = EnteringLaw::new(mean.clone(), &root);
             for ((weight, e, t), (value, variance)) in ROWS.into_iter().zip(seen) {
                 let found = law.take(e, &t, weight);
-                assert_near("innovation", found.0, value, 10.0);
-                assert_near("variance", found.1, variance, 100.0);
+                near::absolute("innovation", found.0, value, 1e-10);
+                near::absolute("variance", found.1, variance, 1e-9);
             }
             let (m, f) = law.posterior();
             let p = &f * f.transpose();
-            m.iter().zip(&last).for_each(|(a, b)| assert_near("mean", *a, *b, 10.0));
-            p.iter().zip(&covariance).for_each(|(a, b)| assert_near("covariance", *a, *b, 10.0));
+            m.iter().zip(&last).for_each(|(a, b)| near::absolute("mean", *a, *b, 1e-10));
+            p.iter().zip(&covariance).for_each(|(a, b)| near::absolute("covariance", *a, *b, 1e-10));
         }
     }
 
@@ -159,8 +157,8 @@ mod tests {
         let mut law = EnteringLaw::new(DVector::zeros(2), &(DMatrix::identity(2, 2) * 1e9));
         law.take(3.0, &[1.0, 1.0], 1e4);
         let (value, variance) = law.take(3.5, &[1.0, 1.0], 1e4);
-        assert_near("innovation", value, 0.5, 1.0);
-        assert_near("variance", variance, 2e-4, 1e-4);
+        near::absolute("innovation", value, 0.5, 1e-11);
+        near::absolute("variance", variance, 2e-4, 1e-15);
         let (_, root) = law.posterior();
         let sum: f64 = root.column_iter().map(|column| column.sum().powi(2)).sum();
         assert!((sum / 5e-5 - 1.0).abs() < 1e-6, "variance of the sum: {sum} against 5e-5");

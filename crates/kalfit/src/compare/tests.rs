@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::compare::{CompareError, ComparedRecord, PValueKind, compare};
+use kalfit_fixtures::near;
 use kalfit_record::FitRecord;
 
 /// Two states, full Σ and a noise level; `fixed` lists what is not free: `mean`, `variance`, `covariance`, `sigma`.
@@ -61,28 +62,24 @@ fn compared(fits: Vec<Value>) -> Result<ComparedRecord, CompareError> {
     compare(&fits)
 }
 
-fn near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-12 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
-}
-
 #[test]
 fn a_fixed_mean_lies_within_a_free_one() {
     let all = compared(vec![record(-22.0, &["mean"]), record(-20.0, &[])]).expect("the same data");
     assert!(all.comparable && all.notes.is_empty(), "{:?}", all.notes);
     let [test] = &all.nested[..] else { panic!("one test: {:?}", all.nested) };
     assert_eq!((test.null, test.alternative, test.df, test.p_value_kind), (0, 1, 1, PValueKind::LargeSample));
-    near("lr", test.lr, 4.0);
+    near::mixed("lr", test.lr, 4.0, 1e-12);
     // the tail of χ² with one degree of freedom beyond 4
     assert!((test.p_value.expect("a law") - 0.045_500_263_896_358_4).abs() < 1e-12, "{:?}", test.p_value);
     // AIC 54 against 52: weights 1 : e
-    near("ΔAIC", all.fits[0].delta_aic.expect("certified"), 2.0);
-    near("weight", all.fits[1].akaike_weight.expect("certified"), 1.0 / (1.0 + (-1.0_f64).exp()));
+    near::mixed("ΔAIC", all.fits[0].delta_aic.expect("certified"), 2.0, 1e-12);
+    near::mixed("weight", all.fits[1].akaike_weight.expect("certified"), 1.0 / (1.0 + (-1.0_f64).exp()), 1e-12);
     assert_eq!(all.differences.len(), 1, "{:?}", all.differences);
     assert_eq!(all.differences[0].element, "mean[b]");
-    near("predictive", all.fits[1].log_predictive_density.expect("all have one"), -23.0);
+    near::mixed("predictive", all.fits[1].log_predictive_density.expect("all have one"), -23.0, 1e-12);
     let difference = all.fits[0].predictive_difference.expect("all have one");
-    near("its difference", difference.difference, 2.0);
-    near("which is the same for both tests", difference.std_error.expect("two tests"), 0.0);
+    near::mixed("its difference", difference.difference, 2.0, 1e-12);
+    near::mixed("which is the same for both tests", difference.std_error.expect("two tests"), 0.0, 1e-12);
 }
 
 #[test]
@@ -98,7 +95,7 @@ fn a_variance_at_zero_has_an_upper_bound_of_the_p_value() {
     let [test] = &all.nested[..] else { panic!("one test: {:?}", all.nested) };
     assert_eq!((test.null, test.alternative, test.df, test.p_value_kind), (1, 0, 2, PValueKind::UpperBound));
     // the tail of χ² with two degrees of freedom is exp(-x/2)
-    near("p", test.p_value.expect("a bound"), (-3.0_f64).exp());
+    near::mixed("p", test.p_value.expect("a bound"), (-3.0_f64).exp(), 1e-12);
     assert!(test.reason.as_deref().is_some_and(|reason| reason.contains("covariance[b, b]")), "{:?}", test.reason);
 }
 
@@ -132,7 +129,7 @@ fn what_is_not_certified_has_no_p_value() {
     assert_eq!((all.nested[0].p_value, all.nested[0].p_value_kind), (None, PValueKind::None));
     assert!(all.notes[0].contains("`0.json` is not certified"), "{:?}", all.notes);
     assert_eq!(all.fits[0].akaike_weight, None);
-    near("the other has all the weight", all.fits[1].akaike_weight.expect("certified"), 1.0);
+    near::mixed("the other has all the weight", all.fits[1].akaike_weight.expect("certified"), 1.0, 1e-12);
 }
 
 #[test]

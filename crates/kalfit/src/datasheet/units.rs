@@ -103,35 +103,33 @@ fn rate_per_quantity(label: &str) -> Option<ShownUnit> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use kalfit_fixtures::near;
 
-    fn near(found: f64, expected: f64) {
-        assert!((found - expected).abs() < 1e-9 * expected, "{found} against {expected}");
-    }
+    use super::*;
 
     #[test]
     fn numbers_are_those_of_datasheets() {
         // 0.01 deg/s at 1 s: 0.01 deg/sqrt(s), 0.6 deg/sqrt(h)
         let (factor, label) = ShownUnit::shown(Some("deg/s")).white(Some("s"));
-        near(0.01 * factor, 0.6);
+        near::relative("white noise of a rate", 0.01 * factor, 0.6, 1e-9);
         assert_eq!(label.as_deref(), Some("deg/sqrt(h)"));
         let (factor, _) = ShownUnit::shown(Some("deg/h")).white(Some("min"));
-        near(factor, 1.0 / 60.0_f64.sqrt());
+        near::relative("white noise over minutes", factor, 1.0 / 60.0_f64.sqrt(), 1e-9);
         // 1 mg at 1 s: 0.00980665 m/s/sqrt(s) over 3600 s, that is times 60
         let (factor, label) = ShownUnit::shown(Some("mg")).white(Some("s"));
-        near(factor, 0.00980665 * 60.0);
+        near::relative("white noise of an acceleration", factor, 0.00980665 * 60.0, 1e-9);
         assert_eq!(label.as_deref(), Some("m/s/sqrt(h)"));
-        near(ShownUnit::shown(Some("m/s^2")).white(Some("s")).0, 60.0);
+        near::relative("m/s²", ShownUnit::shown(Some("m/s^2")).white(Some("s")).0, 60.0, 1e-9);
         let (factor, label) = ShownUnit::shown(Some("deg/s")).walk(Some("s"));
-        near(factor, 3600.0 * 60.0);
+        near::relative("walk of a rate", factor, 3600.0 * 60.0, 1e-9);
         assert_eq!(label.as_deref(), Some("deg/h/sqrt(h)"));
         // 1 rad/s at 1 ns, and a walk of 1 rad/s per square root of a nanosecond
         let rate = ShownUnit::shown(Some("rad/s"));
-        near(rate.white(Some("ns")).0, 180.0 / PI * 3600.0 / 3.6e12_f64.sqrt());
-        near(rate.walk(Some("ns")).0, 180.0 / PI * 3600.0 * 3.6e12_f64.sqrt());
-        near(rate.walk(Some("d")).0, 180.0 / PI * 3600.0 / 24.0_f64.sqrt());
-        near(ShownUnit::shown(Some("rad")).walk(Some("h")).0, 57.29577951308232);
-        near(ShownUnit::shown(Some("rad/s")).factor, 206264.80624709636);
+        near::relative("ns, white", rate.white(Some("ns")).0, 180.0 / PI * 3600.0 / 3.6e12_f64.sqrt(), 1e-9);
+        near::relative("ns, walk", rate.walk(Some("ns")).0, 180.0 / PI * 3600.0 * 3.6e12_f64.sqrt(), 1e-9);
+        near::relative("d, walk", rate.walk(Some("d")).0, 180.0 / PI * 3600.0 / 24.0_f64.sqrt(), 1e-9);
+        near::relative("rad", ShownUnit::shown(Some("rad")).walk(Some("h")).0, 57.29577951308232, 1e-9);
+        near::relative("rad/s", ShownUnit::shown(Some("rad/s")).factor, 206264.80624709636, 1e-9);
     }
 
     #[test]

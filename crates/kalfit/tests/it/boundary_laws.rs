@@ -6,12 +6,13 @@ use kalfit::estimate::{self, Estimate, Settings, Silent, Structure};
 use kalfit::infer::{LikelihoodRatio, likelihood_ratio};
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, MeanElement, MeanStructure};
 use kalfit::reduce::Reductions;
+use kalfit_fixtures::dense::unpacked;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::simulated::structures::{numbers, of};
-use crate::simulated::{Recipe, changed, ensemble, fixed, normal, unpack};
+use crate::simulated::{Recipe, changed, ensemble, fixed, normal};
 
 /// Draws of the naive projections.
 const DRAWS: usize = 60_000;
@@ -45,7 +46,7 @@ fn information(data: &Reductions, sigma: &DMatrix<f64>, directions: &[DMatrix<f6
     let (p, n) = (sigma.nrows(), directions.len());
     let mut sum = DMatrix::zeros(n, n);
     for test in data {
-        let r = unpack(test.factor, p);
+        let r = unpacked(test.factor, p);
         let s = DMatrix::identity(p, p) + &r * sigma * r.transpose();
         let w = r.transpose() * s.try_inverse().expect("S is positive definite") * r;
         let each: Vec<DMatrix<f64>> = directions.iter().map(|d| &w * d).collect();
@@ -234,7 +235,7 @@ fn spread_by(root: &DMatrix<f64>, seed: u64) -> Reductions {
     let p = root.nrows();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     changed(&ensemble(recipe(p), seed), |_, test| {
-        let r = unpack(&test.factor, p);
+        let r = unpacked(&test.factor, p);
         let xi = DVector::from_element(p, 1.0) + root * DVector::from_fn(root.ncols(), |_, _| normal(&mut random));
         let told = |i: usize| f64::from(u8::from(r.row(i).norm() > 0.0));
         test.data = (0..p).map(|i| (r.row(i) * &xi)[0] + told(i) * normal(&mut random)).collect();

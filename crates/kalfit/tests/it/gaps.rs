@@ -4,7 +4,9 @@ use kalfit::build::{Columns, constant, measurement, name};
 use kalfit::estimate::Silent;
 use kalfit::model::Model;
 use kalfit::{Ensemble, Options};
-use nalgebra::{DMatrix, DVector, Dyn};
+use kalfit_fixtures::dense::Linear;
+use kalfit_fixtures::near;
+use nalgebra::{DMatrix, DVector};
 
 const NOISE: f64 = 0.3;
 
@@ -47,16 +49,17 @@ fn agree(equal: bool) {
         let seen: Vec<Row> = rows(j as u32, equal).into_iter().filter(|row| row.2.is_some()).collect();
         let n = seen.len();
         let h = DMatrix::from_fn(n, 2, |k, i| if i == 0 { 1.0 } else { seen[k].1 });
-        let e = DVector::from_fn(n, |k, _| seen[k].2.unwrap_or(f64::NAN)) - &h * &mean;
-        let variance = &h * covariance * h.transpose() + DMatrix::identity(n, n) * NOISE.powi(2);
-        let factor: nalgebra::Cholesky<f64, Dyn> = variance.cholesky().expect("positive");
-        let nis = e.dot(&factor.solve(&e));
-        let log_determinant = 2.0 * factor.l().diagonal().iter().map(|x| x.ln()).sum::<f64>();
-        let expected = -0.5 * (n as f64 * std::f64::consts::TAU.ln() + log_determinant + nis);
+        let law = Linear {
+            residual: DVector::from_fn(n, |k, _| seen[k].2.unwrap_or(f64::NAN)),
+            sensitivity: h,
+            covariance: DMatrix::identity(n, n) * NOISE.powi(2),
+        };
+        let e = law.error(&mean);
+        let nis = e.dot(&law.total(covariance).cholesky().expect("positive").solve(&e));
         let innovations = test.innovations.as_ref().expect("innovations");
-        let found = (test.log_likelihood, innovations.nis.unwrap_or(f64::NAN));
-        let near = (found.0 - expected).abs() < 1e-9 && (found.1 - nis).abs() < 1e-9;
-        assert!(near && innovations.count == n, "test {j}: {found:?}, expected ({expected}, {nis})");
+        assert_eq!(innovations.count, n, "test {j}");
+        near::absolute(format_args!("ℓ of test {j}"), test.log_likelihood, law.log_density(&mean, covariance), 1e-9);
+        near::absolute(format_args!("NIS of test {j}"), innovations.nis.unwrap_or(f64::NAN), nis, 1e-9);
     }
 }
 

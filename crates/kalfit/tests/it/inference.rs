@@ -9,6 +9,8 @@ use kalfit::model::{
     Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Population, Regression,
 };
 use kalfit::reduce::{Path, Reduction, ReductionRef, Reductions};
+use kalfit_fixtures::dense::{marginal, unpacked};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -78,13 +80,6 @@ fn regression(p: usize, covariates: usize) -> MeanStructure {
     MeanStructure { regression, ..MeanStructure::free(p) }
 }
 
-fn close(found: f64, expected: f64, relative: f64, what: &str) {
-    assert!(
-        (found - expected).abs() <= relative * (1.0 + expected.abs()),
-        "{what}: found {found}, expected {expected}"
-    );
-}
-
 #[test]
 fn deletion_equals_refitting_without_the_test() {
     let structures = [
@@ -110,35 +105,30 @@ fn deletion_equals_refitting_without_the_test() {
                 let (out, others) = (data.get(j), data.select(&others));
                 let again = fit(&others, mean, covariance);
                 for (found, expected) in deletion.estimate.mean.iter().zip(&again.mean) {
-                    close(*found, *expected, 1e-6, "mean");
+                    near::mixed("mean", *found, *expected, 1e-6);
                 }
                 for (found, expected) in deletion.estimate.covariance.iter().zip(again.covariance.iter()) {
-                    close(*found, *expected, 1e-5, "covariance");
+                    near::mixed("covariance", *found, *expected, 1e-5);
                 }
                 for (found, expected) in deletion.estimate.coefficients.iter().zip(&again.coefficients) {
-                    close(*found, *expected, 1e-6, "coefficient");
+                    near::mixed("coefficient", *found, *expected, 1e-6);
                 }
                 let density = predictive(&again, mean, out);
-                close(deletion.log_density, density, 1e-6, "log predictive density");
+                near::mixed("log predictive density", deletion.log_density, density, 1e-6);
                 let at_all = predictive(&again, mean, out) + again.log_likelihood;
-                close(deletion.displacement, 2.0 * (all.log_likelihood - at_all), 1e-6, "displacement");
+                near::mixed("displacement", deletion.displacement, 2.0 * (all.log_likelihood - at_all), 1e-6);
             }
         }
     }
 }
 
-/// log N(d; Rμ, I + RΣR') + ½ p log 2π by dense algebra.
+/// log p of a test at an estimate, by dense algebra.
 fn predictive(estimate: &Estimate, mean: &MeanStructure, test: ReductionRef<'_>) -> f64 {
-    let p = estimate.mean.len();
-    let r = DMatrix::from_fn(p, p, |i, k| if i <= k { test.factor[i + k * (k + 1) / 2] } else { 0.0 });
     let mut mu = DVector::from_column_slice(&estimate.mean);
     for (c, regression) in mean.regression.iter().enumerate() {
         mu[regression.element] += estimate.coefficients[c] * test.covariates[c];
     }
-    let s = DMatrix::identity(p, p) + &r * &estimate.covariance * r.transpose();
-    let e = DVector::from_column_slice(test.data) - &r * mu;
-    let factor = s.cholesky().expect("I + RΣR' is positive definite");
-    -0.5 * (2.0 * factor.l().diagonal().map(f64::ln).sum() + e.dot(&factor.solve(&e)))
+    marginal(test, &mu, &estimate.covariance)
 }
 
 /// An end of a profile interval is where a fit with the quantity fixed there has lost half the square of 1.96.
@@ -155,25 +145,25 @@ fn profile_intervals_end_where_a_refit_loses_half_the_squared_quantile() {
         for end in intervals.ends.mean[i].expect("free").map(|end| end.expect("finite")) {
             let mut held = mean.clone();
             held.elements[i] = MeanElement::Fixed(end);
-            close(lost(fit(&data, &held, &covariance)), quantile, 1e-5, "mean");
+            near::mixed("mean", lost(fit(&data, &held, &covariance)), quantile, 1e-5);
         }
         for end in intervals.ends.std_dev[i].expect("free").map(|end| end.expect("finite")) {
-            close(lost(fit(&data, &mean, &fixed(&[(i, i, end * end)]))), quantile, 1e-5, "standard deviation");
+            near::mixed("standard deviation", lost(fit(&data, &mean, &fixed(&[(i, i, end * end)]))), quantile, 1e-5);
         }
     }
     for end in intervals.ends.covariance[1][0].expect("free").map(|end| end.expect("finite")) {
-        close(lost(fit(&data, &mean, &fixed(&[(1, 0, end)]))), quantile, 1e-5, "covariance");
+        near::mixed("covariance", lost(fit(&data, &mean, &fixed(&[(1, 0, end)]))), quantile, 1e-5);
     }
     for end in intervals.ends.correlation[1][0].expect("free").map(|end| end.expect("finite")) {
         let number = |x: f64| kalfit::Expression::Number(x);
         let matrix = vec![vec![number(1.0), number(end)], vec![number(end), number(1.0)]];
         let held = CovarianceStructure { kind: CovarianceKind::Correlation(matrix), ..CovarianceStructure::full() };
-        close(lost(fit(&data, &mean, &held)), quantile, 1e-5, "correlation");
+        near::mixed("correlation", lost(fit(&data, &mean, &held)), quantile, 1e-5);
     }
     // a regression coefficient is held by moving its part of the data over
     for end in intervals.ends.coefficients[0].expect("free").map(|end| end.expect("finite")) {
         let moved: Reductions = data.iter().map(|r| moved(r, end)).collect();
-        close(lost(fit(&moved, &MeanStructure::free(2), &covariance)), quantile, 1e-5, "coefficient");
+        near::mixed("coefficient", lost(fit(&moved, &MeanStructure::free(2), &covariance)), quantile, 1e-5);
     }
 }
 
@@ -199,7 +189,7 @@ fn a_profile_interval_on_the_boundary_begins_there() {
     let mut held = fixed(&[(0, 0, upper * upper)]);
     held.kind = CovarianceKind::Diagonal;
     let lost = 2.0 * (all.log_likelihood - fit(&data, &MeanStructure::free(2), &held).log_likelihood);
-    close(lost, 1.959_963_984_540_054_f64.powi(2), 1e-5, "upper end");
+    near::mixed("upper end", lost, 1.959_963_984_540_054_f64.powi(2), 1e-5);
 }
 
 /// Expected information of (μ, σ_00, σ_10, σ_11) and the outer products of scores, by difference quotients and dense sums.
@@ -221,7 +211,7 @@ fn expected_and_sandwich_errors_equal_dense_ones() {
         let flat =
             [found.mean[0], found.mean[1], found.covariance[0][0], found.covariance[1][0], found.covariance[1][1]];
         for (k, found) in flat.iter().enumerate() {
-            close(found.expect("identified"), law[(k, k)].sqrt(), 1e-5, &format!("{kind:?} {k}"));
+            near::mixed(format_args!("{kind:?} {k}"), found.expect("identified"), law[(k, k)].sqrt(), 1e-5);
         }
     }
 }
@@ -237,7 +227,7 @@ fn unit(k: usize) -> DMatrix<f64> {
 }
 
 fn weight(estimate: &Estimate, test: ReductionRef<'_>) -> (DMatrix<f64>, DVector<f64>) {
-    let r = DMatrix::from_fn(2, 2, |i, k| if i <= k { test.factor[i + k * (k + 1) / 2] } else { 0.0 });
+    let r = unpacked(test.factor, 2);
     let inverse = (DMatrix::identity(2, 2) + &r * &estimate.covariance * r.transpose()).try_inverse().expect("regular");
     let e = DVector::from_column_slice(test.data) - &r * DVector::from_column_slice(&estimate.mean);
     (r.transpose() * &inverse * &r, r.transpose() * inverse * e)
@@ -397,6 +387,6 @@ fn a_fit_from_values_nearby_ends_where_a_fit_from_scratch_does() {
         let structure = Structure::single(&mean, &covariance, &alpha);
         let near = estimate::fit_from(&data, &structure, &start, &Settings::default(), &mut Silent).expect("legal");
         assert_eq!(near.stop, Stop::Certified);
-        close(near.log_likelihood, all.log_likelihood, 1e-10, "ℓ");
+        near::mixed("ℓ", near.log_likelihood, all.log_likelihood, 1e-10);
     }
 }

@@ -6,6 +6,8 @@ use kalfit::estimate::Silent;
 use kalfit::infer::{Choices, IntervalKind, StdErrors};
 use kalfit::model::{CovarianceKind, CovarianceStructure, Expression, Model, Parameter, PhasedModel, Value};
 use kalfit::{Ensemble, Fit, Options};
+use kalfit_fixtures::dense::Linear;
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -65,12 +67,12 @@ fn fitted(model: &PhasedModel, tests: &[Rows], intervals: IntervalKind, std_erro
 /// log p of one test.
 fn dense(rows: &Rows, mean: &[f64], sigma: &DMatrix<f64>, s: f64) -> f64 {
     let (n, p) = (rows.len(), mean.len());
-    let design = DMatrix::from_fn(n, p, |k, i| rows[k].0.powi(i as i32));
-    let variance = &design * sigma * design.transpose() + DMatrix::identity(n, n) * (s * s);
-    let e = DVector::from_fn(n, |k, _| rows[k].1) - &design * DVector::from_column_slice(mean);
-    let root = variance.cholesky().expect("positive");
-    let half: f64 = root.l().diagonal().iter().map(|d| d.ln()).sum();
-    -0.5 * (n as f64 * (2.0 * std::f64::consts::PI).ln() + e.dot(&root.solve(&e))) - half
+    let law = Linear {
+        residual: DVector::from_fn(n, |k, _| rows[k].1),
+        sensitivity: DMatrix::from_fn(n, p, |k, i| rows[k].0.powi(i as i32)),
+        covariance: DMatrix::identity(n, n) * (s * s),
+    };
+    law.log_density(&DVector::from_column_slice(mean), sigma)
 }
 
 /// Gradient by differences to both sides.
@@ -104,9 +106,10 @@ fn error(law: &DMatrix<f64>, q: &dyn Fn(&[f64]) -> f64, at: &[f64]) -> f64 {
     g.dot(&(law * &g)).sqrt()
 }
 
+#[track_caller]
 fn close(found: Option<f64>, expected: f64, relative: f64, what: &str) {
     let found = found.unwrap_or_else(|| panic!("{what}: found none, expected {expected}"));
-    assert!((found / expected - 1.0).abs() < relative, "{what}: found {found}, expected {expected}");
+    near::relative(what, found, expected, relative);
 }
 
 /// The model of lines with the correlation `rho`, a parameter.

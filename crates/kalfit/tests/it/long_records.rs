@@ -6,6 +6,7 @@ use kalfit::model::{
 };
 use kalfit::reduce::{Path, Plain, Reducer, ReductionRef, StepMatrices};
 use kalfit::{Alpha, Expression, Model, Population, Source, Test};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -121,17 +122,12 @@ fn models() -> Vec<(&'static str, Model)> {
 }
 
 fn close(what: &str, found: ReductionRef<'_>, expected: ReductionRef<'_>, tolerance: f64) {
-    let near = |name: &str, a: f64, b: f64, size: f64| {
-        let off = (a - b).abs() / (tolerance * size);
-        assert!(off <= 1.0, "{what}: {name} {a} against {b}, {off:.2} tolerances");
-    };
-    near("constant", found.constant, expected.constant, expected.constant.abs());
-    let size = |numbers: &[f64]| numbers.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-    for (a, b) in found.data.iter().zip(expected.data) {
-        near("data", *a, *b, size(expected.data));
-    }
-    for (a, b) in found.factor.iter().zip(expected.factor) {
-        near("factor", *a, *b, size(expected.factor));
+    near::relative(format_args!("{what}: constant"), found.constant, expected.constant, tolerance);
+    for (name, found, expected) in [("data", found.data, expected.data), ("factor", found.factor, expected.factor)] {
+        let bound = tolerance * near::largest(expected);
+        for (a, b) in found.iter().zip(expected) {
+            near::absolute(format_args!("{what}: {name}"), *a, *b, bound);
+        }
     }
     let count = |r: ReductionRef<'_>| (r.steps, r.observations, r.path);
     assert_eq!(count(found), count(expected), "{what}");

@@ -5,6 +5,7 @@ use kalfit::build::{Columns, Formula, ModelBuilder, constant, free, measurement,
 use kalfit::estimate::Silent;
 use kalfit::infer::{Choices, IntervalKind, MeanCombination};
 use kalfit::{Alpha, Ensemble, Options, PhasedModel};
+use kalfit_fixtures::near;
 use nalgebra::DVector;
 
 const QUANTILE: f64 = 1.959_963_984_540_054;
@@ -51,11 +52,9 @@ fn profile_of_mean(ensemble: &Ensemble) -> (f64, [f64; 2]) {
     (fit.log_likelihood(), ends)
 }
 
-fn near(what: &str, found: [f64; 2], expected: [f64; 2], part: f64) {
+fn check(what: &str, found: [f64; 2], expected: [f64; 2], part: f64) {
     let width = expected[1] - expected[0];
-    for (found, expected) in found.iter().zip(expected) {
-        assert!((found - expected).abs() < part * width, "{what}: {found} against {expected}");
-    }
+    found.iter().zip(expected).for_each(|(found, expected)| near::absolute(what, *found, expected, part * width));
 }
 
 #[test]
@@ -66,7 +65,7 @@ fn limits_of_a_mean_are_its_profile_interval() {
     let found = ensemble.mean_limits(&itself, QUANTILE, &mut Silent).expect("a fit");
     assert!(found.converged);
     assert!((found.log_likelihood - log_likelihood).abs() < 1e-6, "{} against {log_likelihood}", found.log_likelihood);
-    near("μ", found.limits[0].expect("limits"), ends, 1e-3);
+    check("μ", found.limits[0].expect("limits"), ends, 1e-3);
 }
 
 /// With α free, of a mean that hangs on it.
@@ -86,8 +85,8 @@ fn limits_of_a_mean_that_hangs_on_parameters_are_those_of_other_coordinates() {
     };
     let found = ensemble.mean_limits(&after, QUANTILE, &mut Silent).expect("a fit");
     assert!((found.log_likelihood - log_likelihood).abs() < 1e-6, "{} against {log_likelihood}", found.log_likelihood);
-    near("μ exp(-t/τ)", found.limits[0].expect("limits"), ends, 1e-3);
-    near("2 + 1.5 μ exp(-t/τ)", found.limits[1].expect("limits"), ends.map(|end| 2.0 + 1.5 * end), 1e-3);
+    check("μ exp(-t/τ)", found.limits[0].expect("limits"), ends, 1e-3);
+    check("2 + 1.5 μ exp(-t/τ)", found.limits[1].expect("limits"), ends.map(|end| 2.0 + 1.5 * end), 1e-3);
     assert_eq!(found.limits[2], Some([4.0; 2]), "nothing moves it");
 }
 
@@ -102,5 +101,5 @@ fn limits_at_known_parameters_are_profile_intervals() {
     let (_, ends) = profile_of_mean(&ensemble);
     let twice = |_: &Alpha| Some(vec![MeanCombination { weights: DVector::from_element(1, 2.0), constant: -1.0 }]);
     let found = ensemble.mean_limits(&twice, QUANTILE, &mut Silent).expect("a fit");
-    near("2μ - 1", found.limits[0].expect("limits"), ends.map(|end| 2.0 * end - 1.0), 1e-6);
+    check("2μ - 1", found.limits[0].expect("limits"), ends.map(|end| 2.0 * end - 1.0), 1e-6);
 }

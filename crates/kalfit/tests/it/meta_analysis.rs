@@ -5,6 +5,7 @@ use kalfit::estimate::{self, Estimate, Settings, Silent, Solver, Stop, Structure
 use kalfit::infer::{self, Element, Inference};
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanElement, MeanStructure};
 use kalfit::reduce::{Path, Reduction, Reductions};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 
 /// Bivariate studies of a file `test, y1, y2, v1, v2, c12`, reduced by plain dense algebra.
@@ -113,13 +114,7 @@ fn agrees(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStruct
 
 fn close(found: &Estimate, want: &Expected, factor: f64) {
     let same = |what: &str, a: f64, b: f64, unit: f64| {
-        let error = (a - b).abs() / (factor * unit);
-        assert!(
-            error <= 1.0,
-            "{what}: found {a}, expected {b}: {error:.3} × tolerance; {:?} {:?}",
-            found.stop,
-            found.certificate
-        );
+        near::absolute(format_args!("{what}; {:?} {:?}", found.stop, found.certificate), a, b, factor * unit);
     };
     same("log-likelihood", found.log_likelihood, want.log_likelihood, 1e-7 * want.tolerance / 1e-6);
     for i in 0..2 {

@@ -2,12 +2,14 @@
 
 use crate::{dense, journey};
 
-use journey::{Journey, PhaseMatrices, law, log_likelihood, marginal, normal};
+use journey::{Journey, PhaseMatrices, law, log_likelihood, normal};
 use kalfit::model::{PhasedModel, Regression};
 use kalfit::reduce::{
     Evidence, PhaseReduction, PhasedReducer, PhasedTest, Plain, Reducer, Reduction, Reductions, Terminal,
 };
 use kalfit::{Alpha, Labels};
+use kalfit_fixtures::dense::{Linear, marginal, unpacked};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::{ProptestConfig, any, prop_assume, proptest};
 use rand::{RngExt, SeedableRng};
@@ -27,17 +29,6 @@ fn reduce(journey: &Journey) -> Reduction {
 
 fn pieces(journey: &Journey) -> Vec<PhaseReduction> {
     reducer(&journey.model).pieces(std::slice::from_ref(&journey.test)).expect("sound").remove(0)
-}
-
-fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
-    let error = (found - expected).abs() / (1.0 + expected.abs());
-    assert!(error <= tolerance, "{what}: {found} against {expected}, off by {error:.1e}, allowed {tolerance:.0e}");
-}
-
-fn assert_close(found: &DMatrix<f64>, expected: &DMatrix<f64>, tolerance: f64, what: &str) {
-    assert_eq!(found.shape(), expected.shape(), "{what}");
-    let error = (found - expected).amax() / (1.0 + expected.amax());
-    assert!(error <= tolerance, "{what}: off by {error:.1e}, allowed {tolerance:.0e}: {found} against {expected}");
 }
 
 /// Another test of the model of a journey: as many rows, other values.
@@ -61,7 +52,7 @@ fn a_test_without_unknowns_cut_in_two_is_the_whole_test() {
     let (journey, whole) = cut(&mut rng, 2);
     let (two, one) = (reduce(&journey), reduce(&whole));
     assert_eq!((journey.dimension(), two.factor.len()), (0, 0), "the case that this is about");
-    assert_near(two.constant, one.constant, 1e-8, "likelihood");
+    near::mixed("likelihood", two.constant, one.constant, 1e-8);
 }
 
 proptest! {
@@ -81,9 +72,9 @@ proptest! {
         let p = journey.dimension();
         for _ in 0..3 {
             let xi = DVector::from_fn(p, |_, _| normal(&mut rng));
-            assert_near(log_likelihood(&reduction, &xi), whole.log_likelihood(&xi), 1e-8, "given ξ");
+            near::mixed("given ξ", log_likelihood(&reduction, &xi), whole.log_likelihood(&xi), 1e-8);
             let (mu, sigma) = law(&mut rng, p, true);
-            assert_near(marginal(&reduction, &mu, &sigma), whole.marginal(&mu, &sigma), 1e-6, "marginal");
+            near::mixed("marginal", marginal(reduction.view(), &mu, &sigma), whole.marginal(&mu, &sigma), 1e-6);
         }
         assert_eq!(reduction.observations, whole.values.len());
         assert_eq!(reduction.steps, journey.phases[..journey.present].iter().map(|phase| phase.rows.len()).sum::<usize>());
@@ -99,7 +90,7 @@ proptest! {
             let q = journey.model.phases[at].entering().len();
             let sigma = DVector::from_fn(q, |_, _| normal(&mut rng));
             if !alone.values.is_empty() {
-                assert_near(log_likelihood(&piece.reduction, &sigma), alone.log_likelihood(&sigma), 1e-8, "given σ");
+                near::mixed("given σ", log_likelihood(&piece.reduction, &sigma), alone.log_likelihood(&sigma), 1e-8);
             }
             assert_eq!(piece.terminal.is_some(), at + 1 < journey.phases.len());
             assert_eq!(piece.inherited.is_some(), at > 0);
@@ -107,7 +98,7 @@ proptest! {
                 let (mean, covariance) = alone.last_given(&sigma);
                 let found = &terminal.mean + &terminal.sensitivity * &sigma;
                 assert!((&found - &mean).amax() <= 1e-7 * (1.0 + mean.amax()), "x_K {found} against {mean}");
-                assert_close(&terminal.covariance(), &covariance, 1e-7, "P_K");
+                near::matrices("P_K", &terminal.covariance(), &covariance, 1e-7);
             }
             if let Some(inherited) = &piece.inherited {
                 let (transition, input) = journey.phases[at].carried();
@@ -128,12 +119,8 @@ proptest! {
         let reduction = reduce(&journey);
         let (likelihood, means, size) = recursion(&journey.model, &pieces(&journey), &mu, &sigma);
         prop_assume!(size < 1e4); // beyond, (I + JP)⁻¹ as written loses too many digits
-        assert_near(likelihood, marginal(&reduction, &mu, &sigma), 1e-6, "ℓ");
-        let p = mu.len();
-        let r = crate::simulated::unpack(&reduction.factor, p);
-        let s = (DMatrix::identity(p, p) + &r * &sigma * r.transpose()).cholesky().expect("positive definite");
-        let left = DVector::from_column_slice(&reduction.data) - &r * &mu;
-        let posterior = &mu + &sigma * r.transpose() * s.solve(&left);
+        near::mixed("ℓ", likelihood, marginal(reduction.view(), &mu, &sigma), 1e-6);
+        let (posterior, _) = Linear::of(reduction.view()).given(&mu, &sigma);
         for (found, range) in means.iter().zip(journey.model.ranges()) {
             let expected = posterior.rows_range(range).into_owned();
             assert!((found - &expected).amax() <= 1e-5 * (1.0 + expected.amax()), "{found} against {expected}");
@@ -168,12 +155,12 @@ proptest! {
             let one = Reduction {
                 data: phase.data.clone(), factor: phase.factor.clone(), constant: phase.constant, ..reduction.clone()
             };
-            likelihood += marginal(&one, &m, &v);
-            size = size.max(crate::simulated::unpack(&one.factor, q).norm_squared() * v.norm());
+            likelihood += marginal(one.view(), &m, &v);
+            size = size.max(unpacked(&one.factor, q).norm_squared() * v.norm());
             (mean, covariance) = filtered(&one, &m, &v);
         }
         prop_assume!(size < 1e4); // beyond, the covariances of this test lose too many digits
-        assert_near(likelihood, marginal(&reduction, &mu, &sigma), 1e-6, "ℓ of the chain");
+        near::mixed("ℓ of the chain", likelihood, marginal(reduction.view(), &mu, &sigma), 1e-6);
     }
 
     /// A test cut in two phases with T = I, μ_2 = 0, Σ_2 = 0, the step into the second part's first row kept, is the whole test.
@@ -185,10 +172,10 @@ proptest! {
         let (p, more) = (whole.dimension(), journey.dimension() - whole.dimension());
         let xi = DVector::from_fn(p, |_, _| normal(&mut rng));
         let expected = log_likelihood(&one, &xi);
-        assert_near(log_likelihood(&two, &xi.clone().resize_vertically(p + more, 0.0)), expected, 1e-8, "given ξ");
+        near::mixed("given ξ", log_likelihood(&two, &xi.clone().resize_vertically(p + more, 0.0)), expected, 1e-8);
         let (mu, sigma) = law(&mut rng, p, true);
-        let found = marginal(&two, &mu.clone().resize_vertically(p + more, 0.0), &sigma.clone().resize(p + more, p + more, 0.0));
-        assert_near(found, marginal(&one, &mu, &sigma), 1e-8, "marginal");
+        let found = marginal(two.view(), &mu.clone().resize_vertically(p + more, 0.0), &sigma.clone().resize(p + more, p + more, 0.0));
+        near::mixed("marginal", found, marginal(one.view(), &mu, &sigma), 1e-8);
     }
 
     /// (49): with all of x_0 estimated in every phase, least-squares estimates of the phases' own parts, errors correlated
@@ -203,7 +190,7 @@ proptest! {
         let mut estimates = DVector::zeros(n * count);
         let mut carried = (DVector::zeros(n), DMatrix::zeros(n, n)); // x̂_T and P_T of the phase before
         for (i, part) in parts.iter().enumerate() {
-            let r = crate::simulated::unpack(&part.reduction.factor, n);
+            let r = unpacked(&part.reduction.factor, n);
             let inverse = r.clone().try_inverse().expect("observable");
             let covariance = &inverse * inverse.transpose(); // P_i = J⁻¹
             let start = &inverse * DVector::from_column_slice(&part.reduction.data); // x̂_0 by least squares
@@ -227,9 +214,9 @@ proptest! {
             }
         }
         let reduction = reduce(&journey);
-        let r = crate::simulated::unpack(&reduction.factor, n * count);
+        let r = unpacked(&reduction.factor, n * count);
         let inverse = r.clone().try_inverse().expect("observable");
-        assert_close(&(&inverse * inverse.transpose()), &band, 1e-7, "(49)");
+        near::matrices("(49)", &(&inverse * inverse.transpose()), &band, 1e-7);
         let found = &inverse * DVector::from_column_slice(&reduction.data);
         assert!((&found - &estimates).amax() <= 1e-7 * (1.0 + estimates.amax()), "{found} against {estimates}");
     }
@@ -249,8 +236,8 @@ proptest! {
         let block = |i: usize, j: usize| bayes.view((i * n, j * n), (n, n)).into_owned();
         let inverse = |matrix: &DMatrix<f64>| matrix.clone().try_inverse().expect("positive definite");
         let c = block(1, 0) * inverse(&block(0, 0)); // (46)
-        assert_close(&c, &terminal.sensitivity, 1e-7, "(46)");
-        let r = crate::simulated::unpack(&part.reduction.factor, n);
+        near::matrices("(46)", &c, &terminal.sensitivity, 1e-7);
+        let r = unpacked(&part.reduction.factor, n);
         let p = inverse(&(r.transpose() * &r));
         let mut least_squares = DMatrix::zeros(2 * n, 2 * n); // (48)
         least_squares.view_mut((0, 0), (n, n)).copy_from(&p);
@@ -260,7 +247,7 @@ proptest! {
         let mut information = inverse(&bayes); // (47)
         let mut top = information.view_mut((0, 0), (n, n));
         top -= inverse(&prior);
-        assert_close(&(&information * &least_squares), &DMatrix::identity(2 * n, 2 * n), 1e-6, "(47) × (48)");
+        near::matrices("(47) × (48)", &(&information * &least_squares), &DMatrix::identity(2 * n, 2 * n), 1e-6);
     }
 
     /// Rows may come in any order of phases; each phase keeps the order of its own.
@@ -314,7 +301,7 @@ fn block_law(rng: &mut ChaCha8Rng, model: &PhasedModel) -> (DVector<f64>, DMatri
 /// (mean, covariance) of σ given one phase's data and a prior, without inverses of J or of the prior.
 fn filtered(reduction: &Reduction, mean: &DVector<f64>, prior: &DMatrix<f64>) -> (DVector<f64>, DMatrix<f64>) {
     let q = mean.len();
-    let r = crate::simulated::unpack(&reduction.factor, q);
+    let r = unpacked(&reduction.factor, q);
     let j = r.transpose() * &r;
     let b = (DMatrix::identity(q, q) + &j * prior).try_inverse().expect("I + JP is regular");
     let rho = &b * (r.transpose() * DVector::from_column_slice(&reduction.data) - &j * mean);
@@ -345,8 +332,8 @@ fn recursion(
             p += &g * covariance * g.transpose();
             p += &inherited.transition * terminal.covariance() * inherited.transition.transpose();
         }
-        likelihood += marginal(&piece.reduction, &m, &p);
-        let r = crate::simulated::unpack(&piece.reduction.factor, q);
+        likelihood += marginal(piece.reduction.view(), &m, &p);
+        let r = unpacked(&piece.reduction.factor, q);
         let j = r.transpose() * &r;
         size = size.max(j.norm() * p.norm());
         let b = (DMatrix::identity(q, q) + &j * &p).try_inverse().expect("I + JP is regular");
@@ -500,8 +487,8 @@ fn long_phases_end_where_their_steps_in_full_end() {
         let (found, full) = (found.expect("a phase follows"), full.expect("a phase follows"));
         let size = 1.0 + full.mean.amax();
         assert!((&found.mean - &full.mean).amax() <= 1e-9 * size, "{seed}: {} against {}", found.mean, full.mean);
-        assert_close(&found.sensitivity, &full.sensitivity, 1e-9, "Ψ_K");
-        assert_close(&found.covariance(), &full.covariance(), 1e-9, "P_K");
+        near::matrices("Ψ_K", &found.sensitivity, &full.sensitivity, 1e-9);
+        near::matrices("P_K", &found.covariance(), &full.covariance(), 1e-9);
     }
 }
 
@@ -546,7 +533,7 @@ fn a_combination_that_is_known_far_better_than_its_parts_is_handed_on() {
         let (found, whole) = (reduce(&journey), journey.whole().reduce_square_root().expect("sound"));
         for xi in [[0.0, 0.0], [0.4, -1.1], [2.0, 1.5]].map(|xi| DVector::from_column_slice(&xi)) {
             let expected = log_likelihood(&whole, &xi);
-            assert_near(log_likelihood(&found, &xi), expected, 1e-9, name);
+            near::mixed(name, log_likelihood(&found, &xi), expected, 1e-9);
         }
     }
 }
@@ -567,7 +554,7 @@ fn wide_roots_are_narrowed() {
         let phases = parts.into_iter().map(|piece| Evidence::Reduced(Box::new(piece))).collect();
         let found = reduce_all(&journey.model, &[PhasedTest { id: "t".into(), phases }]).get(0).into();
         let xi = DVector::from_fn(journey.dimension(), |_, _| normal(&mut rng));
-        assert_near(log_likelihood(&found, &xi), log_likelihood(&expected, &xi), 1e-11, "given ξ");
+        near::mixed("given ξ", log_likelihood(&found, &xi), log_likelihood(&expected, &xi), 1e-11);
         for phase in &found.chain.expect("several phases have a chain").phases {
             let Some(link) = &phase.link else { continue };
             assert!(link.root.ncols() <= link.root.nrows(), "{:?}", link.root.shape());

@@ -5,6 +5,7 @@ use kalfit::innovations::{Innovations, innovations};
 use kalfit::reduce::{Evidence, PhasedReducer, PhasedTest};
 use kalfit::simulate::{Designs, Simulator};
 use kalfit::{Alpha, Population, Source, Test};
+use kalfit_fixtures::near;
 use nalgebra::DMatrix;
 
 use crate::three_phases::{law_root, model, population, roots, rows, test, values};
@@ -18,11 +19,6 @@ fn drawn(seed: usize, count: u64) -> Vec<PhasedTest> {
 fn run(initial: &Population, tests: &[PhasedTest]) -> Vec<Innovations> {
     let found = innovations(&model(), &Alpha::default(), initial, tests).expect("sound");
     found.into_iter().map(|one| one.expect("rows")).collect()
-}
-
-#[track_caller]
-fn assert_near(what: &str, found: f64, expected: f64, tolerance: f64) {
-    assert!((found - expected).abs() <= tolerance * (1.0 + expected.abs()), "{what}: {found} against {expected}");
 }
 
 #[test]
@@ -40,8 +36,8 @@ fn innovations_are_what_earlier_phases_and_rows_did_not_say() {
             assert_eq!(found.summary.count, z.len());
             for (k, one) in found.series.iter().enumerate() {
                 let what = format!("seed {seed}, innovation {k}");
-                assert_near(&what, one.standardised, white[k], 1e-9);
-                assert_near(&format!("{what}, variance"), one.variance / root[(k, k)].powi(2), 1.0, 1e-9);
+                near::mixed(&what, one.standardised, white[k], 1e-9);
+                near::mixed(format_args!("{what}, variance"), one.variance / root[(k, k)].powi(2), 1.0, 1e-9);
             }
             let phases: Vec<(usize, usize)> = found.series.iter().map(|one| (one.phase, one.step)).collect();
             assert_eq!(phases[..4], [(0, 0), (0, 0), (0, 1), (0, 2)]);
@@ -64,7 +60,7 @@ fn their_densities_add_up_to_the_likelihood_of_the_test() {
             let likelihood = Likelihood::new(&std::iter::once(reduction).collect(), 5);
             let l = likelihood.at(&initial.mean, &initial.covariance, Derivatives::First).log_likelihood;
             let one = one.expect("rows");
-            assert_near(&format!("seed {seed}"), one.log_likelihood, l, 1e-9);
+            near::mixed(format_args!("seed {seed}"), one.log_likelihood, l, 1e-9);
         }
     }
 }
@@ -136,9 +132,9 @@ fn a_phase_that_is_reduced_has_no_innovations_and_is_known_to_the_others() {
             assert_eq!(found.series.len(), expected.len());
             for (a, b) in found.series.iter().zip(expected) {
                 assert_eq!((a.phase, a.step, a.measurement), (b.phase, b.step, b.measurement));
-                assert_near("innovation", a.standardised, b.standardised, 1e-10);
+                near::mixed("innovation", a.standardised, b.standardised, 1e-10);
             }
-            assert_near("log-likelihood", found.log_likelihood, whole.log_likelihood, 1e-10);
+            near::mixed("log-likelihood", found.log_likelihood, whole.log_likelihood, 1e-10);
         }
     }
     let mut none = tests[0].clone();

@@ -1,13 +1,12 @@
 //! One test in three phases, the rate of the second unobservable in it: the published figures, and what is refused.
 
-use crate::journey::marginal;
-
 use kalfit::model::{
     Carry, Clock, Column, CovarianceStructure, Function, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     Operator, Parameter, Phase, PhasedModel, State, Value,
 };
-use kalfit::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use kalfit::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reduction, Reductions};
 use kalfit::{Alpha, Expression, Label, Labels, Source, Test};
+use kalfit_fixtures::dense::marginal;
 use nalgebra::{DMatrix, DVector};
 
 const EMPTY: f64 = f64::NAN;
@@ -143,7 +142,7 @@ fn matrix(blocks: [&[f64]; 3]) -> DMatrix<f64> {
 #[test]
 fn one_test_in_three_phases_has_the_published_log_likelihoods() {
     let model = model();
-    let reduction = reduce(&model, &[split(&model, &ROWS)]).expect("sound").get(0).into();
+    let reduction: Reduction = reduce(&model, &[split(&model, &ROWS)]).expect("sound").get(0).into();
     let known = matrix([&[4.0, 0.1, 0.1, 0.01], &[1.0, 0.0, 0.0, 0.01], &[0.25]]);
     let huge = DMatrix::identity(5, 5) * 1e6;
     let best =
@@ -157,7 +156,7 @@ fn one_test_in_three_phases_has_the_published_log_likelihoods() {
         ("large", &best, &huge, -24.72259126802),
     ];
     for (name, mu, sigma, expected) in cases {
-        let found = marginal(&reduction, mu, sigma);
+        let found = marginal(reduction.view(), mu, sigma);
         assert!((found - expected).abs() < 1e-9, "{name}: {found} against {expected}");
     }
     assert_eq!((reduction.observations, reduction.steps), (20, 23));

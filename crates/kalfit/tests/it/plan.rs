@@ -6,6 +6,7 @@ use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, Me
 use kalfit::plan::{Plan, PlanError, Quantity, Reason, plan};
 use kalfit::reduce::{Path, Reduction, Reductions};
 use kalfit::{Expression, Population};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -70,11 +71,6 @@ fn weights(roots: &[DMatrix<f64>], sigma: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     roots.iter().map(one).collect()
 }
 
-#[track_caller]
-fn assert_near(what: &str, found: f64, expected: f64, tolerance: f64) {
-    assert!((found / expected - 1.0).abs() < tolerance, "{what}: {found} against {expected}");
-}
-
 #[test]
 fn the_errors_of_a_full_covariance_are_those_of_the_dense_information() {
     let sigma = m(2, 2, &[1.0, 0.3, 0.3, 0.5]);
@@ -91,21 +87,21 @@ fn the_errors_of_a_full_covariance_are_those_of_the_dense_information() {
     let places = [(0, 0), (1, 0), (1, 1)];
     for i in 0..2 {
         let found = of(&plan, Quantity::Mean(i)).expect("identified");
-        assert_near("mean", found[0], mean[(i, i)].sqrt(), 1e-10);
-        assert_near("mean of 300", found[1], mean[(i, i)].sqrt() / 10.0, 1e-10);
+        near::relative("mean", found[0], mean[(i, i)].sqrt(), 1e-10);
+        near::relative("mean of 300", found[1], mean[(i, i)].sqrt() / 10.0, 1e-10);
         let k = 2 * i;
         let found = of(&plan, Quantity::StdDev(i)).expect("identified");
-        assert_near("std dev", found[0], covariance[(k, k)].sqrt() / (2.0 * sigma[(i, i)].sqrt()), 1e-10);
+        near::relative("std dev", found[0], covariance[(k, k)].sqrt() / (2.0 * sigma[(i, i)].sqrt()), 1e-10);
     }
     for (k, &(i, j)) in places.iter().enumerate() {
         let found = of(&plan, Quantity::Covariance(i, j)).expect("identified");
-        assert_near("covariance", found[0], covariance[(k, k)].sqrt(), 1e-10);
+        near::relative("covariance", found[0], covariance[(k, k)].sqrt(), 1e-10);
     }
     let unit = (sigma[(0, 0)] * sigma[(1, 1)]).sqrt();
     let rho = sigma[(0, 1)] / unit;
     let slope = DVector::from_vec(vec![-0.5 * rho / sigma[(0, 0)], 1.0 / unit, -0.5 * rho / sigma[(1, 1)]]);
     let found = of(&plan, Quantity::Correlation(1, 0)).expect("identified");
-    assert_near("correlation", found[0], slope.dot(&(&covariance * &slope)).sqrt(), 1e-10);
+    near::relative("correlation", found[0], slope.dot(&(&covariance * &slope)).sqrt(), 1e-10);
 }
 
 #[test]
@@ -120,7 +116,7 @@ fn structures_are_planned_in_their_free_coordinates() {
     let covariance = information.try_inverse().expect("regular");
     for i in 0..2 {
         let found = of(&plan, Quantity::Covariance(i, i)).expect("identified");
-        assert_near("diagonal", found[0], covariance[(i, i)].sqrt(), 1e-10);
+        near::relative("diagonal", found[0], covariance[(i, i)].sqrt(), 1e-10);
     }
     assert_eq!(of(&plan, Quantity::Covariance(1, 0)), Err(Reason::Fixed));
     assert_eq!(of(&plan, Quantity::Correlation(1, 0)), Err(Reason::Fixed));
@@ -135,13 +131,13 @@ fn structures_are_planned_in_their_free_coordinates() {
     let plan = planned(&designs(&roots()), &MeanStructure::free(2), &scaled, &truth, &[3]).expect("sound");
     let information = 0.5 * weights.iter().map(|w| (w * &sigma * w * &sigma).trace()).sum::<f64>();
     let found = of(&plan, Quantity::Covariance(1, 1)).expect("identified");
-    assert_near("proportional", found[0], 0.5 / information.sqrt(), 1e-10);
+    near::relative("proportional", found[0], 0.5 / information.sqrt(), 1e-10);
     // one mean fixed: the other is known better
     let mut fixed = MeanStructure::free(2);
     fixed.elements[1] = MeanElement::Fixed(-3.0);
     let plan = planned(&designs(&roots()), &fixed, &diagonal, &truth, &[3]).expect("sound");
     let information: f64 = weights.iter().map(|w| w[(0, 0)]).sum();
-    assert_near("mean", of(&plan, Quantity::Mean(0)).expect("identified")[0], information.sqrt().recip(), 1e-10);
+    near::relative("mean", of(&plan, Quantity::Mean(0)).expect("identified")[0], information.sqrt().recip(), 1e-10);
     assert_eq!(of(&plan, Quantity::Mean(1)), Err(Reason::Fixed));
 }
 

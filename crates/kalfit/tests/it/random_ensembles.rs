@@ -8,24 +8,20 @@ use kalfit::estimate::{
 };
 use kalfit::model::{Alpha, CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression};
 use kalfit::reduce::Reductions;
+use kalfit_fixtures::dense::marginal;
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
-use simulated::{Recipe, changed, ensemble, unpack};
+use simulated::{Recipe, changed, ensemble};
 
-/// Σ_j log N(d_j; R_j μ_j, I + R_j Σ R_j') + constant_j + ½ p log 2π: the density of the reductions, naively.
+/// The density of the reductions, each at its own mean, naively.
 fn dense(data: &Reductions, estimate: &Estimate, elements: &[usize]) -> f64 {
-    let p = estimate.mean.len();
     data.iter()
         .map(|reduction| {
-            let r = unpack(reduction.factor, p);
             let mut mu = DVector::from_column_slice(&estimate.mean);
             for (c, &i) in elements.iter().enumerate() {
                 mu[i] += estimate.coefficients[c] * reduction.covariates[c];
             }
-            let s = DMatrix::identity(p, p) + &r * &estimate.covariance * r.transpose();
-            let e = DVector::from_column_slice(reduction.data) - &r * mu;
-            let factor = s.cholesky().expect("I + RΣR' is positive definite");
-            let log_det = 2.0 * factor.l().diagonal().map(f64::ln).sum();
-            reduction.constant - 0.5 * (log_det + e.dot(&factor.solve(&e)))
+            marginal(reduction, &mu, &estimate.covariance)
         })
         .sum()
 }
@@ -219,31 +215,37 @@ fn derivatives_equal_difference_quotients() {
             s[(j, i)] = s[(i, j)];
             likelihood.at(&mean, &s, Derivatives::First)
         };
-        let close = |what: &str, analytic: f64, numeric: f64| {
-            let error = (analytic - numeric).abs() / (1.0 + analytic.abs());
-            assert!(error < 1e-7, "{what}: {analytic} but difference quotient {numeric}");
-        };
         for i in 0..3 {
             let (up, down) = (moved_mean(i, step), moved_mean(i, -step));
-            close("mean score", here.mean_score[i], (up.log_likelihood - down.log_likelihood) / (2.0 * step));
+            near::mixed(
+                "mean score",
+                (up.log_likelihood - down.log_likelihood) / (2.0 * step),
+                here.mean_score[i],
+                1e-7,
+            );
             for k in 0..3 {
                 let slope = -(up.mean_score[k] - down.mean_score[k]) / (2.0 * step);
-                close("mean information", here.mean_information[(k, i)], slope);
+                near::mixed("mean information", slope, here.mean_information[(k, i)], 1e-7);
             }
         }
         for (a, &at) in pairs.iter().enumerate() {
             let (up, down) = (moved_sigma(at, step), moved_sigma(at, -step));
             let places = if at.0 == at.1 { 1.0 } else { 2.0 };
             let slope = (up.log_likelihood - down.log_likelihood) / (2.0 * step);
-            close("covariance score", places * here.covariance_score[at], slope);
+            near::mixed("covariance score", slope, places * here.covariance_score[at], 1e-7);
             for (b, &other) in pairs.iter().enumerate() {
                 let places = if other.0 == other.1 { 1.0 } else { 2.0 };
                 let slope = -places * (up.covariance_score[other] - down.covariance_score[other]) / (2.0 * step);
-                close("covariance information", here.covariance_information.as_ref().unwrap()[(a, b)], slope);
+                near::mixed(
+                    "covariance information",
+                    slope,
+                    here.covariance_information.as_ref().unwrap()[(a, b)],
+                    1e-7,
+                );
             }
             for i in 0..3 {
                 let slope = -(up.mean_score[i] - down.mean_score[i]) / (2.0 * step);
-                close("cross information", here.cross_information.as_ref().unwrap()[(i, a)], slope);
+                near::mixed("cross information", slope, here.cross_information.as_ref().unwrap()[(i, a)], 1e-7);
             }
         }
     }

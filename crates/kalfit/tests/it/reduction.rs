@@ -6,6 +6,8 @@ use dense::{dense, twofold};
 use kalfit::build::{constant, measurement, name};
 use kalfit::reduce::{Path, Plain, ReduceErrorKind, Reducer, Reduction, StepMatrices};
 use kalfit::{Alpha, Model, Source, Test};
+use kalfit_fixtures::dense::marginal;
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -142,22 +144,6 @@ fn rounding(reduction: &Reduction, pivot: f64) -> f64 {
     4.0 * f64::EPSILON * (size + 10.0 / pivot.sqrt())
 }
 
-/// Compares with tolerance × (1 + |expected|), and gives the error in units of it.
-fn near(found: f64, expected: f64, tolerance: f64) -> Result<f64, String> {
-    let error = (found - expected).abs() / (1.0 + expected.abs());
-    if error <= tolerance {
-        Ok(error / tolerance)
-    } else {
-        Err(format!("{found:.15e} against {expected:.15e}: error {error:.2e} of {tolerance:.0e}"))
-    }
-}
-
-fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
-    if let Err(message) = near(found, expected, tolerance) {
-        panic!("{what}: {message}");
-    }
-}
-
 #[test]
 fn the_reduction_equals_the_joint_gaussian_for_every_xi() {
     let (mut compared, mut paths, mut failures) = (0, [0, 0], Vec::new());
@@ -182,7 +168,8 @@ fn the_reduction_equals_the_joint_gaussian_for_every_xi() {
         let other = &xi + vector(&mut rng, xi.len());
         let far = twofold::log_likelihood(&test, &other).expect("not degenerate").0;
         for (xi, expected) in [(&xi, expected), (&other, far)] {
-            if let Err(message) = near(log_likelihood(&reduction, xi), expected, 1e-9 + rounding(&reduction, pivot)) {
+            let bound = (1e-9 + rounding(&reduction, pivot)) * (1.0 + f64::abs(expected));
+            if let Err(message) = near::error(log_likelihood(&reduction, xi), expected, bound) {
                 failures.push(format!("seed {seed}, {:?}, pivot {pivot:.1e}: {message}", reduction.path));
             }
         }
@@ -206,7 +193,7 @@ fn both_paths_give_the_same_reduction() {
         let (plain, root) = (test.reduce().expect("sound"), test.reduce_square_root().expect("sound"));
         assert_eq!((root.path, root.design), (Path::SquareRoot, plain.design));
         both += usize::from(plain.path == Path::Information);
-        assert_near(log_likelihood(&plain, &xi), log_likelihood(&root, &xi), 1e-9, &test.id);
+        near::mixed(&test.id, log_likelihood(&plain, &xi), log_likelihood(&root, &xi), 1e-9);
         for (k, (a, b)) in plain.factor.iter().zip(&root.factor).enumerate() {
             let size = root.factor.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
             // Of an ill-conditioned J the root is determined to √(ε × condition).
@@ -229,7 +216,7 @@ fn singular_information_leaves_rows_of_zeros() {
     assert_eq!(reduction.data[1], 0.0, "{:?}", reduction.data);
     let xi = DVector::from_vec(vec![3.0, -2.0]);
     let expected = dense(&test).log_likelihood(&xi);
-    assert_near(log_likelihood(&reduction, &xi), expected, 1e-13, "log-likelihood");
+    near::mixed("log-likelihood", log_likelihood(&reduction, &xi), expected, 1e-13);
 }
 
 #[test]
@@ -259,15 +246,11 @@ fn an_ensemble_of_reductions_has_the_likelihood_of_the_data() {
             .iter()
             .map(|test| {
                 let reduction = test.reduce().expect("sound");
-                let r = DMatrix::from_fn(3, 3, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 });
-                let left = DVector::from_vec(reduction.data.clone()) - &r * &mu;
-                reduction.constant
-                    + 1.5 * std::f64::consts::TAU.ln()
-                    + dense::log_density(&left, &(DMatrix::identity(3, 3) + &r * &sigma * r.transpose()))
+                marginal(reduction.view(), &mu, &sigma)
             })
             .sum();
         assert!(tests.len() > 3, "{} tests", tests.len());
-        assert_near(found, expected, 1e-9, &format!("seed {seed}"));
+        near::mixed(format_args!("seed {seed}"), found, expected, 1e-9);
     }
 }
 
@@ -285,7 +268,7 @@ fn the_order_of_measurements_in_a_step_changes_nothing() {
             step.noise = DMatrix::from_fn(m, m, |i, j| old.noise[(from(i), from(j))]);
         }
         let (a, b) = (test.reduce().expect("sound"), turned.reduce().expect("sound"));
-        assert_near(log_likelihood(&b, &xi), log_likelihood(&a, &xi), 2e-9, &test.id);
+        near::mixed(&test.id, log_likelihood(&b, &xi), log_likelihood(&a, &xi), 2e-9);
     }
 }
 
@@ -306,7 +289,7 @@ fn rescaled_states_give_the_same_likelihood() {
             step.measurement = &step.measurement * &inverse;
         }
         let (a, b) = (test.reduce().expect("sound"), scaled.reduce().expect("sound"));
-        assert_near(log_likelihood(&b, &xi), log_likelihood(&a, &xi), 2e-9, &test.id);
+        near::mixed(&test.id, log_likelihood(&b, &xi), log_likelihood(&a, &xi), 2e-9);
     }
 }
 
@@ -368,7 +351,7 @@ fn what_is_measured_without_noise_is_taken_refused_or_ignored() {
     let (once, twice) = (exact(2.0, &[1.5]).reduce().expect("sound"), exact(2.0, &[1.5, 1.5]).reduce().expect("sound"));
     let numbers = |found: &Reduction| [found.constant, found.data[0], found.factor[0]];
     for (once, twice) in numbers(&once).into_iter().zip(numbers(&twice)) {
-        assert_near(once, twice, 1e-15, "measured twice");
+        near::mixed("measured twice", once, twice, 1e-15);
     }
     assert_eq!((once.observations, once.path), (1, Path::Information), "of one state no digit is lost");
     assert_eq!((twice.observations, twice.path), (1, Path::SquareRoot));

@@ -6,6 +6,7 @@ use kalfit::estimate::{Criterion, Estimate, Solver, Stop};
 use kalfit::infer;
 use kalfit::model::{CovarianceKind, CovarianceStructure, MeanElement, MeanStructure, Regression};
 use kalfit::reduce::Reductions;
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use simulated::{Assumed, Recipe, beta, changed, dense, ensemble, fit, fixed, simplex};
 
@@ -38,14 +39,6 @@ fn certified(estimate: &Estimate, what: &str) {
     assert_eq!(estimate.criterion, Criterion::Reml);
 }
 
-fn near(what: &str, found: f64, expected: f64, tolerance: f64) {
-    let error = (found - expected).abs() / (1.0 + expected.abs());
-    assert!(
-        error <= tolerance,
-        "{what}: found {found}, expected {expected}: error {error:.2e}, tolerance {tolerance:.0e}"
-    );
-}
-
 /// ℓ_R, the mean and its standard errors are those of generalised least squares by plain matrices at the estimated Σ.
 #[test]
 fn the_restricted_likelihood_is_the_dense_one() {
@@ -58,8 +51,13 @@ fn the_restricted_likelihood_is_the_dense_one() {
                 let found = fit(&data, &assumed, Solver::Newton);
                 certified(&found, &what);
                 let plain = dense(&data, mean, &beta(&found, mean), &found.covariance);
-                near(&format!("ℓ_R, {what}"), found.log_likelihood, plain.restricted, 1e-10);
-                near(&format!("ℓ at μ̂, {what}"), plain.log_likelihood, at(&data, mean, &plain.beta, &found), 1e-12);
+                near::mixed(format_args!("ℓ_R, {what}"), found.log_likelihood, plain.restricted, 1e-10);
+                near::mixed(
+                    format_args!("ℓ at μ̂, {what}"),
+                    plain.log_likelihood,
+                    at(&data, mean, &plain.beta, &found),
+                    1e-12,
+                );
                 let errors = infer::infer(&found, &data, infer::Choices::default()).uncertainty.errors.mean;
                 let (_, b) = mean.basis();
                 let law = &b * &plain.covariance * b.transpose();
@@ -67,7 +65,7 @@ fn the_restricted_likelihood_is_the_dense_one() {
                     let expected = Some(law[(i, i)].sqrt()).filter(|e| *e > 0.0);
                     match (errors[i], expected) {
                         (Some(found), Some(expected)) => {
-                            near(&format!("error of mean {i}, {what}"), found, expected, 1e-8)
+                            near::mixed(format_args!("error of mean {i}, {what}"), found, expected, 1e-8)
                         }
                         (found, expected) => assert_eq!(found, expected, "error of mean {i}, {what}"),
                     }
@@ -92,10 +90,10 @@ fn regression_coefficients_are_part_of_the_mean() {
         let found = fit(&data, &Assumed::reml(mean.clone(), CovarianceStructure::full()), Solver::Newton);
         certified(&found, &format!("seed {seed}"));
         let plain = dense(&data, &mean, &beta(&found, &mean), &found.covariance);
-        near("ℓ_R", found.log_likelihood, plain.restricted, 1e-10);
+        near::mixed("ℓ_R", found.log_likelihood, plain.restricted, 1e-10);
         let inference = infer::infer(&found, &data, infer::Choices::default());
         for c in 0..2 {
-            near("coefficient", found.coefficients[c], plain.beta[3 + c], 1e-7);
+            near::mixed("coefficient", found.coefficients[c], plain.beta[3 + c], 1e-7);
             let error = inference.uncertainty.errors.coefficients[c].expect("the data inform it");
             let expected = plain.covariance[(3 + c, 3 + c)].sqrt();
             assert!((error / expected - 1.0).abs() < 1e-8, "error {error}, expected {expected}");
@@ -119,7 +117,7 @@ fn newton_ends_where_a_crude_search_ends() {
         let zero = DVector::zeros(2);
         let value = |x: &[f64]| dense(&data, &mean, &zero, &sigma(x)).restricted;
         let (end, best) = simplex(&[0.8, 0.0, 0.8], &value);
-        near(&format!("ℓ_R, seed {seed}"), found.log_likelihood, best, 1e-9);
+        near::mixed(format_args!("ℓ_R, seed {seed}"), found.log_likelihood, best, 1e-9);
         let gap = (sigma(&end) - &found.covariance).amax() / found.covariance.amax();
         assert!(gap < 1e-3, "seed {seed}: {} {} {gap:.1e}", sigma(&end), found.covariance);
     }
@@ -187,14 +185,14 @@ fn deletion_equals_refitting_the_others() {
             let of = |mean: &[f64], covariance: &DMatrix<f64>| [mean, covariance.as_slice()].concat();
             let (own, other) =
                 (of(&found.estimate.mean, &found.estimate.covariance), of(&again.mean, &again.covariance));
-            own.iter().zip(&other).for_each(|(x, y)| near(&what, *x, *y, 1e-5));
+            own.iter().zip(&other).for_each(|(x, y)| near::mixed(&what, *x, *y, 1e-5));
             if seed != 3 {
                 found
                     .estimate
                     .coefficients
                     .iter()
                     .zip(&again.coefficients)
-                    .for_each(|(x, y)| near(&what, *x, *y, 1e-5));
+                    .for_each(|(x, y)| near::mixed(&what, *x, *y, 1e-5));
             }
             assert!(found.displacement >= 0.0 && found.displacement.is_finite(), "{what}: {}", found.displacement);
         }
@@ -242,7 +240,7 @@ fn units_shift_the_restricted_likelihood_by_their_jacobian() {
         let assumed = Assumed::reml(MeanStructure::free(3), CovarianceStructure::full());
         let (one, other) = (fit(&data, &assumed, Solver::Newton), fit(&rescaled, &assumed, Solver::Newton));
         let shift: f64 = unit.iter().map(|u| f64::ln(*u)).sum();
-        near("ℓ_R", other.log_likelihood, one.log_likelihood + shift, 1e-9);
+        near::mixed("ℓ_R", other.log_likelihood, one.log_likelihood + shift, 1e-9);
         for i in 0..3 {
             let scaled = one.covariance[(i, i)] * unit[i] * unit[i];
             let (found, expected) = (other.covariance[(i, i)] / scaled.max(1e-9 * unit[i] * unit[i]), 1.0);
@@ -267,7 +265,7 @@ fn a_mean_that_no_test_informs_does_not_count() {
         let small = fit(&inner, &Assumed::reml(MeanStructure::free(2), diagonal.clone()), Solver::Newton);
         let large = fit(&outer, &Assumed::reml(MeanStructure::free(3), diagonal), Solver::Newton);
         certified(&large, &format!("seed {seed}"));
-        near("ℓ_R", large.log_likelihood, small.log_likelihood, 1e-11);
+        near::mixed("ℓ_R", large.log_likelihood, small.log_likelihood, 1e-11);
         let inference = infer::infer(&large, &outer, infer::Choices::default());
         assert_eq!(inference.uncertainty.errors.mean[2], None, "no error without information");
         assert!(inference.uncertainty.errors.mean[0].is_some());
@@ -287,5 +285,5 @@ fn a_direction_that_no_test_informs_does_not_count() {
     let one = fit(&seen, &Assumed::reml(MeanStructure::free(1), CovarianceStructure::full()), Solver::Newton);
     let both = fit(&sums, &Assumed::reml(MeanStructure::free(2), only_first), Solver::Newton);
     // C = c [1 3; 3 9], whose non-zero eigenvalue is 10 c
-    near("ℓ_R", both.log_likelihood, one.log_likelihood - 0.5 * 10.0_f64.ln(), 1e-11);
+    near::mixed("ℓ_R", both.log_likelihood, one.log_likelihood - 0.5 * 10.0_f64.ln(), 1e-11);
 }

@@ -6,8 +6,9 @@ use kalfit::estimate::{self, Estimate, Settings, Silent, Solver, Stop, Structure
 use kalfit::infer::{self, Quantity};
 use kalfit::model::{Alpha, CovarianceStructure, MeanStructure};
 use kalfit::reduce::{Reduction, ReductionRef, Reductions};
+use kalfit_fixtures::dense::unpacked;
 use nalgebra::{DMatrix, DVector};
-use simulated::{Recipe, ensemble, unpack};
+use simulated::{Recipe, ensemble};
 
 const P: usize = 4;
 /// Observed directions.
@@ -18,7 +19,7 @@ fn tests(seen: &DMatrix<f64>, seed: u64) -> Reductions {
     let recipe =
         Recipe { p: O, tests: 25, rank: O, observed: 4, strength: 1.5, designs: 25, regressors: 0, mild: false };
     let wide = |reduction: ReductionRef<'_>| {
-        let r = unpack(reduction.factor, O) * seen;
+        let r = unpacked(reduction.factor, O) * seen;
         let mut stacked = DMatrix::zeros(P + 1, P + 1);
         stacked.view_mut((0, 0), (O, P)).copy_from(&r);
         (0..O).for_each(|i| stacked[(i, P)] = reduction.data[i]);

@@ -15,7 +15,7 @@ use crate::score::backward::work::SegmentLengths;
 use crate::score::by_differences::likelihood;
 use crate::score::moments::{Moments, moments};
 use crate::score::smoother::{PhaseLaws, SmootherPlan};
-use kalfit_fixtures::slope;
+use kalfit_fixtures::{near, slope};
 use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Inherited, PhaseReduction};
@@ -334,33 +334,31 @@ impl AllAdjoints {
     }
 
     fn check(&self, whole: &AllAdjoints, at: usize) {
-        let near = |what: &str, a: &[f64], b: &[f64]| {
+        let check = |what: &str, a: &[f64], b: &[f64]| {
             assert_eq!(a.len(), b.len(), "{what}");
-            for (a, b) in a.iter().zip(b) {
-                assert!((a - b).abs() < 1e-11 * (1.0 + b.abs()), "split at {at}, {what}: {a} against {b}");
-            }
+            a.iter().zip(b).for_each(|(a, b)| near::mixed(format_args!("split at {at}, {what}"), *a, *b, 1e-11));
         };
         for (what, a, b) in [("R", &self.noise, &whole.noise), ("z", &self.value, &whole.value)] {
             let (mut a, mut b) = (a.clone(), b.clone());
             a.sort_by_key(|x| x.0);
             b.sort_by_key(|x| x.0);
-            a.iter().zip(&b).for_each(|(a, b)| near(&format!("{what} of {}", b.0), &[a.1], &[b.1]));
+            a.iter().zip(&b).for_each(|(a, b)| check(&format!("{what} of {}", b.0), &[a.1], &[b.1]));
         }
         let (mut a, mut b) = (self.h.clone(), whole.h.clone());
         a.sort_by_key(|x| x.0);
         b.sort_by_key(|x| x.0);
-        a.iter().zip(&b).for_each(|(a, b)| near(&format!("h of {}", b.0), &a.1, &b.1));
+        a.iter().zip(&b).for_each(|(a, b)| check(&format!("h of {}", b.0), &a.1, &b.1));
         let (mut a, mut b) = (self.moved.clone(), whole.moved.clone());
         a.sort_by_key(|x| x.0);
         b.sort_by_key(|x| x.0);
         for ((k, a), (l, b)) in a.iter().zip(&b) {
             assert_eq!(k, l, "steps");
-            near(&format!("φ of step {k}"), &a.phi, &b.phi);
-            near(&format!("Q of step {k}"), &a.q, &b.q);
-            near(&format!("b of step {k}"), &a.input, &b.input);
+            check(&format!("φ of step {k}"), &a.phi, &b.phi);
+            check(&format!("Q of step {k}"), &a.q, &b.q);
+            check(&format!("b of step {k}"), &a.input, &b.input);
         }
-        near("a", &self.mean, &whole.mean);
-        near("P0", &self.variance, &whole.variance);
+        check("a", &self.mean, &whole.mean);
+        check("P0", &self.variance, &whole.variance);
     }
 }
 
@@ -388,20 +386,18 @@ impl Totals {
 
     #[track_caller]
     fn check(&self, other: &Totals) {
-        let near = |what: &str, a: &[f64], b: &[f64]| {
-            let size = 1e-3 + a.iter().fold(0.0f64, |most, x| most.max(x.abs()));
+        let check = |what: &str, a: &[f64], b: &[f64]| {
+            let bound = 1e-10 * (1e-3 + near::largest(a));
             assert_eq!(a.len(), b.len(), "{what}");
-            for (a, b) in a.iter().zip(b) {
-                assert!((a - b).abs() <= 1e-10 * size, "{what}: {a} against {b}, largest {size}");
-            }
+            a.iter().zip(b).for_each(|(a, b)| near::absolute(what, *a, *b, bound));
         };
         assert_eq!(self.bars.len(), other.bars.len());
         for ((at, a), b) in self.bars.iter().zip(other.bars.values()) {
             for (what, (a, b)) in ["R", "z", "h", "φ", "Q"].iter().zip(a.iter().zip(b)) {
-                near(&format!("{what} of stretch {at}"), a, b);
+                check(&format!("{what} of stretch {at}"), a, b);
             }
         }
-        near("start", &self.start, &other.start);
+        check("start", &self.start, &other.start);
     }
 }
 

@@ -1,447 +1,135 @@
-use super::refusal;
+use super::{refusal, refusal_in_one_line};
 
 #[test]
-fn a_product_of_states() {
-    let text = r#"[measurements.y]
-equation = "a + 2 * (a - 1) * (b + 3)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    state `a` times state `b` is not linear in the states
-    at   "2 * (a - 1) * (b + 3)"
-    "#);
-}
-
-#[test]
-fn a_quotient_of_states() {
-    let text = r#"[measurements.y]
-equation = "a / (1 + b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    state `a` divided by state `b` is not linear in the states
-    at   "a / (1 + b)"
-    "#);
-}
-
-#[test]
-fn a_division_by_a_state() {
-    let text = r#"[measurements.y]
-equation = "1 / b"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    a division by state `b` is not linear in the states
-    at   "1 / b"
-    "#);
-}
-
-#[test]
-fn a_power_of_a_state() {
-    let text = r#"[measurements.y]
-equation = "a^2 + b"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    a power of state `a` is not linear in the states
-    at   "a^2"
-    "#);
-}
-
-#[test]
-fn a_state_in_an_exponent() {
-    let text = r#"[measurements.y]
-equation = "2^a"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    state `a` in an exponent is not linear in the states
-    at   "2^a"
-    "#);
-}
-
-#[test]
-fn a_function_of_a_state() {
-    let text = r#"[measurements.y]
-equation = "b + sqrt(2 * a)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `sqrt` of state `a` is not linear in the states
-    at   "sqrt(2 * a)"
-    "#);
-}
-
-#[test]
-fn a_condition_on_a_state() {
-    let text = r#"[measurements.y]
-equation = "if(a > 0, a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    a condition on state `a` is not linear in the states
-    at   "a > 0"
-    "#);
-}
-
-#[test]
-fn a_comparison_that_stands_for_a_number() {
-    let text = r#"[measurements.y]
-equation = "a + (u > 2) * b"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found a condition, expected a number
-    at   "(u > 2)"
-    hint `if(condition, 1, 0)` makes a number of a condition
-    "#);
-}
-
-#[test]
-fn a_number_that_stands_for_a_condition() {
-    let text = r#"[measurements.y]
-equation = "if(u, a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found a number, expected a condition
-    at   "u"
-    hint write `u != 0`
-    "#);
-}
-
-#[test]
-fn a_text_that_stands_for_a_number() {
-    let text = r#"[measurements.y]
-equation = "a + 'b'"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found a text, expected a number or a condition
-    at   "'b'"
-    hint texts are compared with columns, as in `sensor == 'A'`
-    "#);
-}
-
-#[test]
-fn texts_in_order() {
-    let text = r#"[measurements.y]
-equation = "if(s < 'A', a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    texts can only be compared by `==` or `!=`, found `<`
-    at   "s < 'A'"
-    "#);
-}
-
-#[test]
-fn a_text_compared_with_a_state() {
-    let text = r#"[measurements.y]
-equation = "if('A' == a, a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    a text can only be compared with a column of the data, found the state `a`
-    at   "a"
-    hint the column is written `` `a` ``
-    "#);
-}
-
-#[test]
-fn a_text_compared_with_a_number() {
-    let text = r#"[measurements.y]
-equation = "if(2 * s == 'A', a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    a text can only be compared with a column of the data, found `2 * s`
-    at   "2 * s"
-    "#);
-}
-
-#[test]
-fn a_chain_of_comparisons() {
-    let text = r#"[measurements.y]
-equation = "if(0 < u < 1, a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    comparisons cannot be chained
-    at   "<"
-    hint write `a < b and b < c`
-    "#);
-}
-
-#[test]
-fn a_single_equals_sign() {
-    let text = r#"[measurements.y]
-equation = "if(u = 1, a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found `=`, which means nothing in an expression
-    at   "="
-    hint `==` compares
-    "#);
-}
-
-#[test]
-fn a_product_without_its_sign() {
-    let text = r#"[measurements.y]
-equation = "2a"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found `a`, expected an operator or the end
-    at   "a"
-    hint write `2 * a`
-    "#);
-}
-
-#[test]
-fn a_power_of_another_language() {
-    let text = r#"[measurements.y]
-equation = "u**2 * a"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found `*`, expected a number, a name or `(`
-    at   "*"
-    hint `^` raises to a power
-    "#);
-}
-
-#[test]
-fn an_open_parenthesis() {
-    let text = r#"[measurements.y]
-equation = "a + (b * 2"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    the parenthesis is not closed, expected `)`
-    at   "("
-    "#);
-}
-
-#[test]
-fn an_open_text() {
-    let text = r#"[measurements.y]
-equation = "if(s == 'A, a, b)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    the text is not closed, expected `'`
-    at   "'A, a, b)"
-    "#);
-}
-
-#[test]
-fn a_column_without_a_name() {
-    let text = r#"[measurements.y]
-equation = "a * ``"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found nothing between backticks, expected the name of a column between backticks
-    at   "``"
-    "#);
-}
-
-#[test]
-fn an_unknown_function() {
-    let text = r#"[measurements.y]
-equation = "a * ln(u)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    unknown function `ln`
-    at   "ln"
-    hint the natural logarithm is `log`
-    "#);
-}
-
-#[test]
-fn a_misspelt_function() {
-    let text = r#"[measurements.y]
-equation = "a * sqr(u)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    unknown function `sqr`
-    at   "sqr"
-    hint did you mean `sqrt`?
-    "#);
-}
-
-#[test]
-fn a_name_used_as_a_function() {
-    let text = r#"[measurements.y]
-equation = "a (u + 1)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    unknown function `a`
-    at   "a"
-    hint write `a * (`
-    "#);
-}
-
-#[test]
-fn a_function_without_arguments() {
-    let text = r#"[measurements.y]
-equation = "a * exp"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `exp` is a function, expected its arguments in parentheses
-    at   "exp"
-    hint a column of this name is written `` `exp` ``
-    "#);
-}
-
-#[test]
-fn too_many_arguments() {
-    let text = r#"[measurements.y]
-equation = "a * exp(1, 2)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `exp` has 2 arguments, expected 1
-    at   "exp(1, 2)"
-    "#);
-}
-
-#[test]
-fn an_if_without_an_else() {
-    let text = r#"[measurements.y]
-equation = "if(u > 1, a)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `if` has 2 arguments, expected 3
-    at   "if(u > 1, a)"
-    hint write `if(condition, value, other_value)`
-    "#);
-}
-
-#[test]
-fn a_division_by_zero() {
-    let text = r#"[measurements.y]
-equation = "a * (1 / (2 - 2))"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    division by zero
-    at   "(1 / (2 - 2))"
-    "#);
-}
-
-#[test]
-fn a_root_of_a_negative_number() {
-    let text = r#"[measurements.y]
-equation = "a * sqrt(-1)"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    the value is not a finite number
-    at   "sqrt(-1)"
-    "#);
-}
-
-#[test]
-fn a_number_too_large() {
-    let text = r#"[measurements.y]
-equation = "1e999 * a"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    the value is not a finite number
-    at   "1e999"
-    "#);
-}
-
-#[test]
-fn an_empty_expression() {
-    let text = r#"[measurements.y]
-equation = ""
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found the end, expected a number, a name or `(`
-    at   "\""
-    "#);
-}
-
-#[test]
-fn an_expression_that_stops() {
-    let text = r#"[measurements.y]
-equation = "a +"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found the end, expected a number, a name or `(`
-    at   "\""
-    "#);
-}
-
-#[test]
-fn a_doubled_sign() {
-    let text = r#"[measurements.y]
-equation = "a + + b"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found `+`, expected a number, a name or `(`
-    at   "+"
-    hint a sign `+` is left out
-    "#);
-}
-
-#[test]
-fn a_column_name_with_a_point() {
-    let text = r#"[measurements.y]
-equation = "a * Sepal.Length"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    found `.`, which means nothing in an expression
-    at   "."
-    hint a column whose name has other characters than letters, digits and `_` stands in backticks
-    "#);
+fn each_equation_is_refused_with_its_message() {
+    let rows = [
+        (
+            "a product of states",
+            "a + 2 * (a - 1) * (b + 3)",
+            r#"state `a` times state `b` is not linear in the states | at "2 * (a - 1) * (b + 3)""#,
+        ),
+        (
+            "a quotient of states",
+            "a / (1 + b)",
+            r#"state `a` divided by state `b` is not linear in the states | at "a / (1 + b)""#,
+        ),
+        ("a division by a state", "1 / b", r#"a division by state `b` is not linear in the states | at "1 / b""#),
+        ("a power of a state", "a^2 + b", r#"a power of state `a` is not linear in the states | at "a^2""#),
+        ("a state in an exponent", "2^a", r#"state `a` in an exponent is not linear in the states | at "2^a""#),
+        (
+            "a function of a state",
+            "b + sqrt(2 * a)",
+            r#"`sqrt` of state `a` is not linear in the states | at "sqrt(2 * a)""#,
+        ),
+        (
+            "a condition on a state",
+            "if(a > 0, a, b)",
+            r#"a condition on state `a` is not linear in the states | at "a > 0""#,
+        ),
+        (
+            "a comparison that stands for a number",
+            "a + (u > 2) * b",
+            r#"found a condition, expected a number | at "(u > 2)" | hint `if(condition, 1, 0)` makes a number of a condition"#,
+        ),
+        (
+            "a number that stands for a condition",
+            "if(u, a, b)",
+            r#"found a number, expected a condition | at "u" | hint write `u != 0`"#,
+        ),
+        (
+            "a text that stands for a number",
+            "a + 'b'",
+            r#"found a text, expected a number or a condition | at "'b'" | hint texts are compared with columns, as in `sensor == 'A'`"#,
+        ),
+        (
+            "texts in order",
+            "if(s < 'A', a, b)",
+            r#"texts can only be compared by `==` or `!=`, found `<` | at "s < 'A'""#,
+        ),
+        (
+            "a text compared with a state",
+            "if('A' == a, a, b)",
+            r#"a text can only be compared with a column of the data, found the state `a` | at "a" | hint the column is written `` `a` ``"#,
+        ),
+        (
+            "a text compared with a number",
+            "if(2 * s == 'A', a, b)",
+            r#"a text can only be compared with a column of the data, found `2 * s` | at "2 * s""#,
+        ),
+        (
+            "a chain of comparisons",
+            "if(0 < u < 1, a, b)",
+            r#"comparisons cannot be chained | at "<" | hint write `a < b and b < c`"#,
+        ),
+        (
+            "a single equals sign",
+            "if(u = 1, a, b)",
+            r#"found `=`, which means nothing in an expression | at "=" | hint `==` compares"#,
+        ),
+        (
+            "a product without its sign",
+            "2a",
+            r#"found `a`, expected an operator or the end | at "a" | hint write `2 * a`"#,
+        ),
+        (
+            "a power of another language",
+            "u**2 * a",
+            r#"found `*`, expected a number, a name or `(` | at "*" | hint `^` raises to a power"#,
+        ),
+        ("an open parenthesis", "a + (b * 2", r#"the parenthesis is not closed, expected `)` | at "(""#),
+        ("an open text", "if(s == 'A, a, b)", r#"the text is not closed, expected `'` | at "'A, a, b)""#),
+        (
+            "a column without a name",
+            "a * ``",
+            r#"found nothing between backticks, expected the name of a column between backticks | at "``""#,
+        ),
+        (
+            "an unknown function",
+            "a * ln(u)",
+            r#"unknown function `ln` | at "ln" | hint the natural logarithm is `log`"#,
+        ),
+        ("a misspelt function", "a * sqr(u)", r#"unknown function `sqr` | at "sqr" | hint did you mean `sqrt`?"#),
+        ("a name used as a function", "a (u + 1)", r#"unknown function `a` | at "a" | hint write `a * (`"#),
+        (
+            "a function without arguments",
+            "a * exp",
+            r#"`exp` is a function, expected its arguments in parentheses | at "exp" | hint a column of this name is written `` `exp` ``"#,
+        ),
+        ("too many arguments", "a * exp(1, 2)", r#"`exp` has 2 arguments, expected 1 | at "exp(1, 2)""#),
+        (
+            "an if without an else",
+            "if(u > 1, a)",
+            r#"`if` has 2 arguments, expected 3 | at "if(u > 1, a)" | hint write `if(condition, value, other_value)`"#,
+        ),
+        ("a division by zero", "a * (1 / (2 - 2))", r#"division by zero | at "(1 / (2 - 2))""#),
+        ("a root of a negative number", "a * sqrt(-1)", r#"the value is not a finite number | at "sqrt(-1)""#),
+        ("a number too large", "1e999 * a", r#"the value is not a finite number | at "1e999""#),
+        ("an empty expression", "", r#"found the end, expected a number, a name or `(` | at "\"""#),
+        ("an expression that stops", "a +", r#"found the end, expected a number, a name or `(` | at "\"""#),
+        (
+            "a doubled sign",
+            "a + + b",
+            r#"found `+`, expected a number, a name or `(` | at "+" | hint a sign `+` is left out"#,
+        ),
+        (
+            "a column name with a point",
+            "a * Sepal.Length",
+            r#"found `.`, which means nothing in an expression | at "." | hint a column whose name has other characters than letters, digits and `_` stands in backticks"#,
+        ),
+        (
+            "an expression with escapes",
+            r#"a * \u0062"#,
+            r#"state `a` times state `b` is not linear in the states | at "\"a * \\u0062\"""#,
+        ),
+        ("dt without time", "a * dt", r#"`dt` needs `time` in `[data]` | at "dt""#),
+    ];
+    for (what, equation, message) in rows {
+        assert_eq!(
+            refusal_in_one_line(&format!("[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = 1\n")),
+            message,
+            "{what}"
+        );
+    }
 }
 
 #[test]
@@ -456,32 +144,6 @@ noise = 1
     insta::assert_snapshot!(refusal(text), @r#"
     state `b` times state `b` is not linear in the states
     at   "b * b"
-    "#);
-}
-
-#[test]
-fn an_expression_with_escapes() {
-    let text = r#"[measurements.y]
-equation = "a * \u0062"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    state `a` times state `b` is not linear in the states
-    at   "\"a * \\u0062\""
-    "#);
-}
-
-#[test]
-fn dt_without_time() {
-    let text = r#"[measurements.y]
-equation = "a * dt"
-column = "y"
-noise = 1
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `dt` needs `time` in `[data]`
-    at   "dt"
     "#);
 }
 

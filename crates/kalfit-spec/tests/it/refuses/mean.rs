@@ -1,4 +1,4 @@
-use super::refusal;
+use super::{refusal, refusal_in_one_line};
 
 #[test]
 fn a_mean_of_an_unknown_state() {
@@ -59,14 +59,33 @@ proportional_to = { a = 1, b = 2 }
 }
 
 #[test]
-fn a_mean_tied_to_itself() {
-    let text = r#"[mean]
-tied = { a = "a + b" }
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    the mean of `a` is tied to itself
-    at   "\"a + b\""
-    "#);
+fn each_line_of_mean_is_refused_with_its_message() {
+    let rows = [
+        ("a mean tied to itself", r#"tied = { a = "a + b" }"#, r#"the mean of `a` is tied to itself | at "\"a + b\"""#),
+        (
+            "a mean tied to nothing",
+            r#"tied = { a = "2" }"#,
+            r#"the mean of `a` is tied to no other mean | at "\"2\"" | hint a mean that is known stands under `fixed`"#,
+        ),
+        (
+            "a mean tied to a column",
+            r#"tied = { a = "2 * c" }"#,
+            r#"column `c` cannot stand in `a` of `tied` of `[mean]` | at "c""#,
+        ),
+        (
+            "a tie that is not linear",
+            r#"tied = { a = "b * b" }"#,
+            r#"state `b` times state `b` is not linear in the states | at "b * b""#,
+        ),
+        (
+            "a proportional mean of zeros",
+            "proportional_to = { a = 0, b = 0 }",
+            r#"`proportional_to` of `[mean]` is zero throughout, so its scale has nothing to act on | at "{ a = 0, b = 0 }""#,
+        ),
+    ];
+    for (what, line, message) in rows {
+        assert_eq!(refusal_in_one_line(&format!("[mean]\n{line}\n")), message, "{what}");
+    }
 }
 
 #[test]
@@ -86,29 +105,6 @@ tied = { a = "b", b = "c" }
 }
 
 #[test]
-fn a_mean_tied_to_nothing() {
-    let text = r#"[mean]
-tied = { a = "2" }
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    the mean of `a` is tied to no other mean
-    at   "\"2\""
-    hint a mean that is known stands under `fixed`
-    "#);
-}
-
-#[test]
-fn a_mean_tied_to_a_column() {
-    let text = r#"[mean]
-tied = { a = "2 * c" }
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    column `c` cannot stand in `a` of `tied` of `[mean]`
-    at   "c"
-    "#);
-}
-
-#[test]
 fn a_mean_tied_to_a_known_start() {
     let text = r#"[states]
 a = {}
@@ -124,17 +120,6 @@ tied = { a = "b + c" }
 }
 
 #[test]
-fn a_tie_that_is_not_linear() {
-    let text = r#"[mean]
-tied = { a = "b * b" }
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    state `b` times state `b` is not linear in the states
-    at   "b * b"
-    "#);
-}
-
-#[test]
 fn a_start_of_a_fixed_mean() {
     let text = r#"[mean]
 fixed = { a = 0 }
@@ -143,17 +128,6 @@ start = { a = 1 }
     insta::assert_snapshot!(refusal(text), @r#"
     `a` has no effect as a start value: its mean is fixed
     at   "a"
-    "#);
-}
-
-#[test]
-fn a_proportional_mean_of_zeros() {
-    let text = r#"[mean]
-proportional_to = { a = 0, b = 0 }
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `proportional_to` of `[mean]` is zero throughout, so its scale has nothing to act on
-    at   "{ a = 0, b = 0 }"
     "#);
 }
 

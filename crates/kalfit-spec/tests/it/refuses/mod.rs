@@ -35,3 +35,8 @@ fn refusal(text: &str) -> String {
     lines.extend(error.hint.map(|hint| format!("hint {hint}")));
     lines.join("\n")
 }
+
+/// The message, its parts in one line: what is wrong | at "the text" | hint what helps.
+fn refusal_in_one_line(text: &str) -> String {
+    refusal(text).replace("\nat   ", " | at ").replace("\nhint ", " | hint ")
+}

@@ -1,4 +1,4 @@
-use super::refusal;
+use super::{refusal, refusal_in_one_line};
 
 #[test]
 fn an_unknown_process() {
@@ -347,25 +347,27 @@ random = "no"
 }
 
 #[test]
-fn a_state_with_the_name_of_a_word() {
-    let text = r#"[states]
-dt = {}
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `dt` cannot be the name of a state: it is a word of the expression language
-    at   "dt"
-    "#);
-}
-
-#[test]
-fn a_state_with_a_space_in_its_name() {
-    let text = r#"[states]
-"scale x" = {}
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `scale x` cannot be the name of a state: only letters, digits and `_` can stand in expressions, and a digit cannot come first
-    at   "\"scale x\""
-    "#);
+fn each_line_of_states_is_refused_with_its_message() {
+    let rows = [
+        (
+            "a state with the name of a word",
+            "dt = {}",
+            r#"`dt` cannot be the name of a state: it is a word of the expression language | at "dt""#,
+        ),
+        (
+            "a state with a space in its name",
+            r#""scale x" = {}"#,
+            r#"`scale x` cannot be the name of a state: only letters, digits and `_` can stand in expressions, and a digit cannot come first | at "\"scale x\"""#,
+        ),
+        (
+            "a state that is no table",
+            r#"a = "constant""#,
+            r#"`a` of `[states]` is a string, expected a table | at "\"constant\"""#,
+        ),
+    ];
+    for (what, line, message) in rows {
+        assert_eq!(refusal_in_one_line(&format!("[states]\n{line}\n")), message, "{what}");
+    }
 }
 
 #[test]
@@ -390,16 +392,5 @@ procces = "constant"
     unknown key `procces` in state `a`
     at   "procces"
     hint did you mean `process`?
-    "#);
-}
-
-#[test]
-fn a_state_that_is_no_table() {
-    let text = r#"[states]
-a = "constant"
-"#;
-    insta::assert_snapshot!(refusal(text), @r#"
-    `a` of `[states]` is a string, expected a table
-    at   "\"constant\""
     "#);
 }

@@ -10,6 +10,7 @@ use kalfit::model::{
     Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanElement, MeanStructure, Regression,
 };
 use kalfit::reduce::{ReductionRef, Reductions};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 
 use super::{Joint, Recipe, ensemble};
@@ -45,18 +46,14 @@ fn full(p: usize) -> (MeanStructure, CovarianceStructure) {
     (MeanStructure::free(p), CovarianceStructure::full())
 }
 
-fn close(what: &str, a: f64, b: f64, tolerance: f64) {
-    assert!((a - b).abs() <= tolerance * (1.0 + b.abs()), "{what}: {a} {b}");
-}
-
 fn alike(what: &str, a: &Estimate, b: &Estimate, tolerance: f64) {
     assert_eq!((a.stop, b.stop), (Stop::Certified, Stop::Certified), "{what}: {:?} {:?}", a.certificate, b.certificate);
-    close(&format!("{what}: ℓ"), a.log_likelihood, b.log_likelihood, 1e-10);
+    near::mixed(format_args!("{what}: ℓ"), a.log_likelihood, b.log_likelihood, 1e-10);
     for (name, a, b) in [("μ", &a.mean, &b.mean), ("coefficients", &a.coefficients, &b.coefficients)] {
         assert_eq!(a.len(), b.len(), "{what}: {name}");
-        a.iter().zip(b).for_each(|(x, y)| close(&format!("{what}: {name}"), *x, *y, tolerance));
+        a.iter().zip(b).for_each(|(x, y)| near::mixed(format_args!("{what}: {name}"), *x, *y, tolerance));
     }
-    a.covariance.iter().zip(&b.covariance).for_each(|(x, y)| close(&format!("{what}: Σ"), *x, *y, tolerance));
+    a.covariance.iter().zip(&b.covariance).for_each(|(x, y)| near::mixed(format_args!("{what}: Σ"), *x, *y, tolerance));
 }
 
 /// The structures of two phases of two and three states.
@@ -122,7 +119,7 @@ fn every_structure_has_one_maximum_by_chain_and_stacked_and_by_em() {
         alike(name, &chain, &stacked, 1e-7);
         let em = fit(&data, &phases, &Settings { tolerance: 1e-5, ..Settings::of(Solver::Em) });
         assert_eq!(em.stop, Stop::Certified, "{name}: {:?}", em.certificate);
-        close(&format!("{name}: ℓ of EM"), em.log_likelihood, chain.log_likelihood, 1e-9);
+        near::mixed(format_args!("{name}: ℓ of EM"), em.log_likelihood, chain.log_likelihood, 1e-9);
         for range in recipe.ranges() {
             let outside = (0..5).filter(|k| !range.contains(k)).flat_map(|k| range.clone().map(move |i| (i, k)));
             outside.for_each(|at| assert_eq!(chain.covariance[at], 0.0, "{name}: Σ between phases"));
@@ -130,7 +127,7 @@ fn every_structure_has_one_maximum_by_chain_and_stacked_and_by_em() {
         let mu = DVector::from_column_slice(&chain.mean);
         let dense =
             |r: ReductionRef<'_>| Joint::of(r.chain.expect("made so"), &recipe.own).log_density(&mu, &chain.covariance);
-        close(&format!("{name}: dense ℓ"), chain.log_likelihood, data.iter().map(dense).sum(), 1e-10);
+        near::mixed(format_args!("{name}: dense ℓ"), chain.log_likelihood, data.iter().map(dense).sum(), 1e-10);
     }
 }
 
@@ -169,7 +166,7 @@ fn inferred(estimate: &Estimate, data: &Reductions) -> Inference {
 fn same_inference(name: &str, found: &Inference, expected: &Inference) {
     let both = |what: &str, a: Option<f64>, b: Option<f64>| {
         assert_eq!(a.is_some(), b.is_some(), "{name}: {what}");
-        a.zip(b).into_iter().for_each(|(a, b)| close(&format!("{name}: {what}"), a, b, 1e-6));
+        a.zip(b).into_iter().for_each(|(a, b)| near::mixed(format_args!("{name}: {what}"), a, b, 1e-6));
     };
     let (a, b) = (&found.uncertainty.errors, &expected.uncertainty.errors);
     a.mean.iter().zip(&b.mean).for_each(|(a, b)| both("error of μ", *a, *b));
@@ -178,9 +175,9 @@ fn same_inference(name: &str, found: &Inference, expected: &Inference) {
     a.correlation.iter().flatten().zip(b.correlation.iter().flatten()).for_each(|(a, b)| both("ρ", *a, *b));
     assert_eq!(found.uncertainty.boundary, expected.uncertainty.boundary, "{name}");
     for (a, b) in found.posteriors.iter().zip(expected.posteriors.iter()) {
-        close(&format!("{name}: ℓ_j"), a.log_likelihood, b.log_likelihood, 1e-8);
-        a.mean.iter().zip(b.mean).for_each(|(a, b)| close(&format!("{name}: posterior"), *a, *b, 1e-6));
-        close(&format!("{name}: distance"), a.distance.squared, b.distance.squared, 1e-6);
+        near::mixed(format_args!("{name}: ℓ_j"), a.log_likelihood, b.log_likelihood, 1e-8);
+        a.mean.iter().zip(b.mean).for_each(|(a, b)| near::mixed(format_args!("{name}: posterior"), *a, *b, 1e-6));
+        near::mixed(format_args!("{name}: distance"), a.distance.squared, b.distance.squared, 1e-6);
         assert_eq!(a.distance.degrees_of_freedom, b.distance.degrees_of_freedom, "{name}");
         // covariances between phases are not told, where there are phases
         let told = |posterior: Posterior<'_>| -> Vec<((usize, usize), f64)> {
@@ -195,15 +192,15 @@ fn same_inference(name: &str, found: &Inference, expected: &Inference) {
         };
         let all: BTreeMap<(usize, usize), f64> = told(b).into_iter().collect();
         for (at, a) in told(a) {
-            close(&format!("{name}: posterior covariance"), a, all[&at], 1e-6);
+            near::mixed(format_args!("{name}: posterior covariance"), a, all[&at], 1e-6);
         }
     }
     let (a, b) = (found.deletions.as_ref().expect("asked for"), expected.deletions.as_ref().expect("asked for"));
     for (a, b) in a.iter().zip(b) {
         let (a, b) = (a.as_ref().expect("certified"), b.as_ref().expect("certified"));
-        a.estimate.mean.iter().zip(&b.estimate.mean).for_each(|(a, b)| close("μ without a test", *a, *b, 1e-5));
-        close(&format!("{name}: predictive density"), a.log_density, b.log_density, 1e-6);
-        close(&format!("{name}: displacement"), a.displacement, b.displacement, 1e-5);
+        a.estimate.mean.iter().zip(&b.estimate.mean).for_each(|(a, b)| near::mixed("μ without a test", *a, *b, 1e-5));
+        near::mixed(format_args!("{name}: predictive density"), a.log_density, b.log_density, 1e-6);
+        near::mixed(format_args!("{name}: displacement"), a.displacement, b.displacement, 1e-5);
     }
     // zeros between phases are no constraints, those of blocks are
     let within = |e: &Element| match e {
@@ -214,7 +211,7 @@ fn same_inference(name: &str, found: &Inference, expected: &Inference) {
     assert_eq!(found.sensitivities.len(), expected.len(), "{name}");
     for (a, b) in found.sensitivities.iter().zip(expected) {
         assert_eq!(a.element, b.element, "{name}");
-        close(&format!("{name}: sensitivity of {:?}", a.element), a.sensitivity, b.sensitivity, 1e-5);
+        near::mixed(format_args!("{name}: sensitivity of {:?}", a.element), a.sensitivity, b.sensitivity, 1e-5);
         both("score statistic", a.statistic, b.statistic);
     }
 }
@@ -237,7 +234,7 @@ fn the_restricted_likelihood_and_regressions_do_not_see_how_phases_are_put_toget
         assert_eq!(chain.coefficients.len(), 2);
         let em = Settings { tolerance: 1e-4, ..with(Combination::Chain, Solver::Em) };
         let em = fit(&data, &phases, &em);
-        close(&format!("{criterion:?}: ℓ of EM"), em.log_likelihood, chain.log_likelihood, 1e-7);
+        near::mixed(format_args!("{criterion:?}: ℓ of EM"), em.log_likelihood, chain.log_likelihood, 1e-7);
     }
 }
 
@@ -272,7 +269,7 @@ fn the_joint_density_is_flat_at_the_estimate_of_each_structure() {
         data.iter().map(one).sum::<f64>()
     };
     let at = density(&theta);
-    close("ℓ", found.log_likelihood, at, 1e-11);
+    near::mixed("ℓ", found.log_likelihood, at, 1e-11);
     for k in 0..theta.len() {
         let moved = |h: f64| {
             let mut theta = theta.clone();
@@ -309,8 +306,8 @@ fn singular_optima_and_blind_phases_are_certified_alike() {
         let chain = fit(&data, &phases, &by(Combination::Chain));
         let stacked = fit(&data, &phases, &by(Combination::Stacked));
         assert_eq!((chain.stop, stacked.stop), (Stop::Certified, Stop::Certified), "seed {seed}");
-        close("ℓ", chain.log_likelihood, stacked.log_likelihood, 1e-9);
-        chain.mean.iter().zip(&stacked.mean).for_each(|(a, b)| close("μ", *a, *b, 1e-5));
-        chain.covariance.iter().zip(&stacked.covariance).for_each(|(a, b)| close("Σ", *a, *b, 1e-4));
+        near::mixed("ℓ", chain.log_likelihood, stacked.log_likelihood, 1e-9);
+        chain.mean.iter().zip(&stacked.mean).for_each(|(a, b)| near::mixed("μ", *a, *b, 1e-5));
+        chain.covariance.iter().zip(&stacked.covariance).for_each(|(a, b)| near::mixed("Σ", *a, *b, 1e-4));
     }
 }

@@ -4,10 +4,11 @@ use kalfit::estimate::{Combination, Criterion, FitError, Settings, Silent, Stop}
 use kalfit::infer::{NotNested, StdErrors, likelihood_ratio, uncertainty};
 use kalfit::model::{Alpha, CovarianceStructure, MeanStructure};
 use kalfit::reduce::{ChainPhase, Path, Reduction, ReductionRef, Reductions};
+use kalfit_fixtures::dense::{log_density, unpacked};
 use nalgebra::{DMatrix, DVector};
 
 use super::fits::{Phases, by, fit, structure};
-use super::{Joint, Recipe, ensemble, unpacked};
+use super::{Joint, Recipe, ensemble};
 
 /// Two phases, both observable in every test, all states inherited.
 fn data() -> (Recipe, Reductions) {
@@ -53,12 +54,6 @@ fn differences(reduction: ReductionRef<'_>) -> Vec<(DVector<f64>, DMatrix<f64>)>
         before = Some((x, p));
     }
     found
-}
-
-fn log_density(e: &DVector<f64>, s: &DMatrix<f64>) -> f64 {
-    let factor = s.clone().cholesky().expect("a covariance");
-    let log_det = 2.0 * factor.l().diagonal().map(f64::ln).sum();
-    -0.5 * (e.len() as f64 * std::f64::consts::TAU.ln() + log_det + e.dot(&factor.solve(e)))
 }
 
 #[test]

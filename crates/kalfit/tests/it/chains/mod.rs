@@ -9,6 +9,7 @@ mod single;
 use std::ops::Range;
 
 use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
+use kalfit_fixtures::dense::{Linear, unpacked};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -163,17 +164,10 @@ fn packed(factor: &DMatrix<f64>) -> Vec<f64> {
     (0..q).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|at| factor[at]).collect()
 }
 
-pub(crate) fn unpacked(factor: &[f64], q: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(q, q, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
-}
-
 /// All data of a test in a row: d = m + H ξ + e, e ~ N(0, V), V = I + R (noise between phases) R'.
 pub(crate) struct Joint {
-    pub(crate) data: DVector<f64>,
-    pub(crate) mean: DVector<f64>,
-    /// P columns; those of missing phases are zero.
-    pub(crate) sensitivity: DMatrix<f64>,
-    pub(crate) covariance: DMatrix<f64>,
+    /// H has P columns; those of missing phases are zero.
+    pub(crate) law: Linear,
     pub(crate) constant: f64,
 }
 
@@ -183,12 +177,10 @@ impl Joint {
         let total: usize = chain.phases.iter().map(|phase| phase.data.len()).sum();
         let widths = chain.phases.iter().map(|phase| phase.link.as_ref().map_or(0, |link| link.root.ncols()));
         let noises: usize = widths.sum();
-        let mut joint = Joint {
-            data: DVector::zeros(total),
-            mean: DVector::zeros(total),
+        let mut law = Linear {
+            residual: DVector::zeros(total),
             sensitivity: DMatrix::zeros(total, p),
             covariance: DMatrix::identity(total, total),
-            constant: chain.phases.iter().map(|phase| phase.constant).sum(),
         };
         // σ_i = h + H ξ + N × white noise
         let (mut h, mut big, mut n) = (DVector::zeros(0), DMatrix::zeros(0, p), DMatrix::zeros(0, noises));
@@ -210,45 +202,41 @@ impl Joint {
             (0..phase.own).for_each(|i| big_next[(i, state + i)] += 1.0);
             state += phase.own;
             let r = unpacked(&phase.factor, q);
-            joint.data.rows_mut(row, q).copy_from_slice(&phase.data);
-            joint.mean.rows_mut(row, q).copy_from(&(&r * &h_next));
-            joint.sensitivity.view_mut((row, 0), (q, p)).copy_from(&(&r * &big_next));
+            law.residual.rows_mut(row, q).copy_from(&(DVector::from_column_slice(&phase.data) - &r * &h_next));
+            law.sensitivity.view_mut((row, 0), (q, p)).copy_from(&(&r * &big_next));
             noise.view_mut((row, 0), (q, noises)).copy_from(&(&r * &n_next));
             row += q;
             (h, big, n) = (h_next, big_next, n_next);
         }
-        joint.covariance += &noise * noise.transpose();
-        joint
+        law.covariance += &noise * noise.transpose();
+        Joint { law, constant: chain.phases.iter().map(|phase| phase.constant).sum() }
     }
 
     /// What rounding does to [`Joint::log_density`], by and large: the covariance is formed, and the noise in it is one.
     pub(crate) fn rounding(&self, sigma: &DMatrix<f64>) -> f64 {
-        1e-15 * (&self.covariance + &self.sensitivity * sigma * self.sensitivity.transpose()).amax()
+        1e-15 * self.law.total(sigma).amax()
     }
 
     /// log p at μ and Σ; what `constant` holds of 2π is all there is.
     pub(crate) fn log_density(&self, mean: &DVector<f64>, sigma: &DMatrix<f64>) -> f64 {
-        let s = &self.covariance + &self.sensitivity * sigma * self.sensitivity.transpose();
-        let e = &self.data - &self.mean - &self.sensitivity * mean;
-        let factor = s.cholesky().expect("a covariance of data");
-        let log_det = 2.0 * factor.l().diagonal().map(f64::ln).sum();
-        self.constant - 0.5 * (log_det + e.dot(&factor.solve(&e)))
+        let half = 0.5 * self.law.residual.len() as f64 * std::f64::consts::TAU.ln();
+        self.constant + half + self.law.log_density(mean, sigma)
     }
 }
 
 /// The reduction of ξ of all phases together.
 pub(crate) fn stacked(chain: &Chain, own: &[usize]) -> Reduction {
-    let joint = Joint::of(chain, own);
-    let (total, p) = joint.sensitivity.shape();
-    let factor = joint.covariance.clone().cholesky().expect("a covariance of data").l();
+    let Joint { law, constant } = Joint::of(chain, own);
+    let (total, p) = law.sensitivity.shape();
+    let factor = law.covariance.clone().cholesky().expect("a covariance of data").l();
     let log_det = 2.0 * factor.diagonal().map(f64::ln).sum();
     let mut rows = DMatrix::zeros((total).max(p + 1), p + 1);
-    rows.view_mut((0, 0), (total, p)).copy_from(&joint.sensitivity);
-    rows.view_mut((0, p), (total, 1)).copy_from(&(&joint.data - &joint.mean));
+    rows.view_mut((0, 0), (total, p)).copy_from(&law.sensitivity);
+    rows.view_mut((0, p), (total, 1)).copy_from(&law.residual);
     let top = factor.solve_lower_triangular(&rows.rows(0, total).clone_owned()).expect("regular");
     rows.rows_mut(0, total).copy_from(&top);
     let mut upper = rows.qr().r();
-    let unseen: Vec<bool> = (0..p).map(|k| joint.sensitivity.column(k).amax() == 0.0).collect();
+    let unseen: Vec<bool> = (0..p).map(|k| law.sensitivity.column(k).amax() == 0.0).collect();
     for i in 0..=p {
         if upper[(i, i)] < 0.0 {
             upper.row_mut(i).neg_mut();
@@ -263,7 +251,7 @@ pub(crate) fn stacked(chain: &Chain, own: &[usize]) -> Reduction {
     }
     Reduction {
         test: String::new(),
-        constant: joint.constant - 0.5 * (log_det + upper[(p, p)].powi(2)),
+        constant: constant - 0.5 * (log_det + upper[(p, p)].powi(2)),
         residual: None,
         data: (0..p).map(|i| upper[(i, p)]).collect(),
         factor: (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|at| upper[at]).collect(),

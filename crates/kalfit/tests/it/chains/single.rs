@@ -4,6 +4,7 @@ use kalfit::estimate::{Combination, Estimate, Stop};
 use kalfit::infer::{self, Choices};
 use kalfit::model::{CovarianceKind, CovarianceStructure, MeanElement, MeanStructure};
 use kalfit::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
+use kalfit_fixtures::dense::unpacked;
 use nalgebra::{DMatrix, DVector};
 
 use super::fits::{Phases, by, fit, kind, matrix};
@@ -56,7 +57,7 @@ fn the_means_of_one_test_do_not_depend_on_the_covariance() {
     let reduction = test();
     let data = &Reductions::from(vec![reduction.clone()]);
     // with as many means as rows of information all of them are met: the estimate solves Rξ = d
-    let r = super::unpacked(&reduction.factor, 5);
+    let r = unpacked(&reduction.factor, 5);
     let expected = r.lu().solve(&DVector::from_column_slice(&reduction.data)).expect("observable over all phases");
     for variance in [0.0, 1e-4, 1.0, 1e6] {
         for way in [Combination::Chain, Combination::Stacked] {
@@ -108,14 +109,12 @@ fn the_posterior_of_each_phase_is_that_given_all_phases() {
         let posterior = inference.posteriors.get(0);
         let mu = DVector::from_element(5, 0.25);
         let sigma = DMatrix::identity(5, 5) * variance;
-        let s = &joint.covariance + &joint.sensitivity * &sigma * joint.sensitivity.transpose();
-        let gain = &sigma * joint.sensitivity.transpose() * s.try_inverse().expect("regular");
-        let mean = &mu + &gain * (&joint.data - &joint.mean - &joint.sensitivity * &mu);
+        let (mean, covariance) = joint.law.given(&mu, &sigma);
         let variances: Vec<f64> = posterior.covariances().flat_map(|own| own.diagonal().as_slice().to_vec()).collect();
         for i in 0..5 {
             let (a, b) = (posterior.mean[i], mean[i]);
             assert!((a - b).abs() < 1e-6 * (1.0 + b.abs()), "Σ {variance}, {i}: {a} {b}");
-            let b = (&sigma - &gain * &joint.sensitivity * &sigma)[(i, i)];
+            let b = covariance[(i, i)];
             let a = variances[i];
             assert!((a - b).abs() < 1e-8 * (1.0 + variance), "Σ {variance}, variance {i}: {a} {b}");
         }

@@ -1,10 +1,11 @@
-//! The oracle: the joint Gaussian of all measurements of a test, built by plain stacking and evaluated by a dense
-//! factorisation. Written from the equations of the model, independently of the kernels and as naively as possible.
+//! The oracle: the joint Gaussian of all measurements of a test, built by plain stacking and evaluated by the
+//! dense law of `kalfit_fixtures`. Written from the equations of the model, independently of the kernels and as naively as possible.
 #![allow(dead_code, reason = "each test crate uses its own part of it")]
 
 pub(crate) mod twofold;
 
 use kalfit::reduce::Plain;
+pub(crate) use kalfit_fixtures::dense::log_density;
 use nalgebra::{DMatrix, DVector};
 
 /// z ~ N(m + H ξ, Ω) for the measurements of a test that are not missing, and the law of its last state.
@@ -79,16 +80,6 @@ pub(crate) fn dense(test: &Plain) -> Dense {
         last_covariance: own,
         last_cross: cross,
     }
-}
-
-/// log N(r; 0, Ω) by Cholesky of Ω scaled to unit diagonal; Ω must be positive definite.
-pub(crate) fn log_density(r: &DVector<f64>, omega: &DMatrix<f64>) -> f64 {
-    let scale = omega.diagonal().map(f64::sqrt);
-    let scaled = DMatrix::from_fn(r.len(), r.len(), |i, j| omega[(i, j)] / (scale[i] * scale[j]));
-    let factor = scaled.cholesky().expect("the covariance of the measurements is positive definite");
-    let white = factor.l().solve_lower_triangular(&r.component_div(&scale)).expect("its factor is not singular");
-    let log_determinant: f64 = factor.l().diagonal().iter().zip(&scale).map(|(l, s)| 2.0 * (l * s).ln()).sum();
-    -0.5 * (r.len() as f64 * std::f64::consts::TAU.ln() + log_determinant + white.norm_squared())
 }
 
 impl Dense {

@@ -7,6 +7,7 @@ use kalfit::model::{
 };
 use kalfit::reduce::{Evidence, PhasedTest, Plain, Reduction, StepMatrices};
 use kalfit::{Label, Source, Test};
+use kalfit_fixtures::dense::unpacked;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -353,17 +354,7 @@ impl Journey {
 /// log p(z | ξ) of a reduction.
 pub(crate) fn log_likelihood(reduction: &Reduction, xi: &DVector<f64>) -> f64 {
     let d = DVector::from_column_slice(&reduction.data);
-    reduction.constant - 0.5 * (d - crate::simulated::unpack(&reduction.factor, xi.len()) * xi).norm_squared()
-}
-
-/// log p(z) of a reduction when ξ ~ N(μ, Σ), naively.
-pub(crate) fn marginal(reduction: &Reduction, mu: &DVector<f64>, sigma: &DMatrix<f64>) -> f64 {
-    let p = mu.len();
-    let r = crate::simulated::unpack(&reduction.factor, p);
-    let factor =
-        (DMatrix::identity(p, p) + &r * sigma * r.transpose()).cholesky().expect("I + RΣR' is positive definite");
-    let e = DVector::from_column_slice(&reduction.data) - &r * mu;
-    reduction.constant - factor.l().diagonal().map(f64::ln).sum() - 0.5 * e.dot(&factor.solve(&e))
+    reduction.constant - 0.5 * (d - unpacked(&reduction.factor, xi.len()) * xi).norm_squared()
 }
 
 /// A random (μ, Σ); Σ is zero, of rank 1, of full rank, or `huge`.

@@ -6,6 +6,7 @@ pub(crate) mod structures;
 use kalfit::estimate::{self, Criterion, Estimate, Settings, Silent, Solver, Structure};
 use kalfit::model::{Alpha, CovarianceStructure, FixedElement, MeanStructure};
 use kalfit::reduce::{Path, Reduction, ReductionRef, Reductions};
+use kalfit_fixtures::dense::unpacked;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -83,10 +84,6 @@ pub(crate) fn changed(data: &Reductions, mut change: impl FnMut(usize, &mut Redu
     data.iter().enumerate().map(one).collect()
 }
 
-pub(crate) fn unpack(factor: &[f64], p: usize) -> DMatrix<f64> {
-    DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
-}
-
 /// Of full rank: correlations of 0.3. Otherwise: the rows scaled.
 fn unit_variances(mut root: DMatrix<f64>) -> DMatrix<f64> {
     let (p, rank) = root.shape();
@@ -157,7 +154,7 @@ pub(crate) fn dense(data: &Reductions, mean: &MeanStructure, beta: &DVector<f64>
     let (mut information, mut score) = (DMatrix::zeros(q, q), DVector::zeros(q));
     let mut parts = Vec::new();
     for reduction in data {
-        let r = unpack(reduction.factor, p);
+        let r = unpacked(reduction.factor, p);
         let mut x = DMatrix::zeros(p, q);
         x.view_mut((0, 0), b.shape()).copy_from(&b);
         for (c, regression) in mean.regression.iter().enumerate() {

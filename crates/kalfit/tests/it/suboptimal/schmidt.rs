@@ -8,6 +8,8 @@ use kalfit::model::{
 use kalfit::plan::{Quantity, information_lost};
 use kalfit::reduce::{EstimateReducer, FilterRunner, Reducer, ReductionRef, Reductions, lost};
 use kalfit::{Expression, Model, PhasedModel, Population, Source, Test};
+use kalfit_fixtures::dense::{marginal, unpacked};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 
 /// unit, t, g_in, output.
@@ -112,30 +114,12 @@ fn reduced(phase: &Phase) -> (Reductions, f64) {
     (both.map(|(test, estimates)| reducer.reduce(&test.id, estimates).expect("sound").0).collect(), volume)
 }
 
-/// log N of the test's estimates at ξ ~ N(μ, Σ), from (c, y, J) by the plain formula.
-fn marginal(reduction: ReductionRef<'_>, mean: &DVector<f64>, sigma: &DMatrix<f64>) -> f64 {
-    let q = mean.len();
-    let r = factor(reduction);
-    let omega = &r * sigma * r.transpose() + DMatrix::identity(q, q);
-    let left = DVector::from_column_slice(reduction.data) - &r * mean;
-    let root = omega.cholesky().expect("identity and more");
-    let white = root.l().solve_lower_triangular(&left).expect("not singular");
-    let log_determinant: f64 = root.l().diagonal().iter().map(|l| l.ln()).sum();
-    reduction.constant - log_determinant - 0.5 * white.norm_squared()
-}
-
 fn factor(reduction: ReductionRef<'_>) -> DMatrix<f64> {
-    let q = reduction.data.len();
-    DMatrix::from_fn(q, q, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 })
+    unpacked(reduction.factor, reduction.data.len())
 }
 
 fn sum_of_information(reductions: &Reductions) -> DMatrix<f64> {
     reductions.iter().map(|r| factor(r).transpose() * factor(r)).sum()
-}
-
-#[track_caller]
-fn close(what: &str, found: f64, expected: f64, tolerance: f64) {
-    assert!((found - expected).abs() <= tolerance, "{what}: {found:.12} against {expected:.12}");
 }
 
 fn covariance(bias: f64, both: f64, trend: f64) -> DMatrix<f64> {
@@ -148,10 +132,10 @@ fn the_schmidt_filter_of_the_public_case_gives_its_log_likelihood() {
     let mean = DVector::from_row_slice(&[11.142155605, 1.5575300969, 0.0]);
     let sigma = covariance(17.428325996, 8.2177959005, 6.0236127164);
     let each: Vec<f64> = reductions.iter().map(|r| marginal(r, &mean, &sigma)).collect();
-    close("ℓ", each.iter().sum(), -249.7113271845, 1e-9);
-    close("whitened ℓ", each.iter().sum::<f64>() + volume, -120.9356119929, 1e-9);
+    near::absolute("ℓ", each.iter().sum(), -249.7113271845, 1e-9);
+    near::absolute("whitened ℓ", each.iter().sum::<f64>() + volume, -120.9356119929, 1e-9);
     for (found, expected) in each.iter().zip([-8.4681946149, -7.2133488531, -7.7834166487]) {
-        close("ℓ of a test", *found, expected, 1e-9);
+        near::absolute("ℓ of a test", *found, expected, 1e-9);
     }
     let expected = [
         [1.7904712884, 1.7851159019, 0.48594830299],
@@ -161,7 +145,7 @@ fn the_schmidt_filter_of_the_public_case_gives_its_log_likelihood() {
     let sum = sum_of_information(&reductions);
     for (i, row) in expected.iter().enumerate() {
         for (j, expected) in row.iter().enumerate() {
-            close("Σ J", sum[(i, j)], *expected, 1e-9 * expected);
+            near::absolute("Σ J", sum[(i, j)], *expected, 1e-9 * expected);
         }
     }
 }
@@ -172,8 +156,8 @@ fn a_filter_that_is_optimal_but_for_its_finite_prior_loses_nothing() {
     let mean = DVector::from_row_slice(&[11.101698507, 1.4961022844, 0.0]);
     let sigma = covariance(13.01967194, 8.212585765, 6.1258288233);
     let each: Vec<f64> = reductions.iter().map(|r| marginal(r, &mean, &sigma)).collect();
-    close("ℓ", each.iter().sum(), -265.0836734958, 1e-9);
-    close("whitened ℓ", each.iter().sum::<f64>() + volume, -153.9639057576, 1e-9);
+    near::absolute("ℓ", each.iter().sum(), -265.0836734958, 1e-9);
+    near::absolute("whitened ℓ", each.iter().sum::<f64>() + volume, -153.9639057576, 1e-9);
     let alpha = Alpha::fixed(&model().parameters).expect("all is fixed");
     let raw = Reducer::new(&model(), &alpha).expect("sound").reduce(&tests()).expect("sound");
     for (raw, own) in raw.iter().zip(&reductions) {
@@ -214,9 +198,9 @@ fn what_the_schmidt_filter_loses_of_the_information_is_that_of_the_public_case()
     ];
     for (quantity, expected) in expected {
         let ratio = found.std_errors.iter().find(|ratio| ratio.quantity == quantity).expect("it is free").ratio;
-        close(&format!("{quantity:?}"), ratio, expected, 1e-6);
+        near::absolute(format_args!("{quantity:?}"), ratio, expected, 1e-6);
     }
-    close("log |I|", found.log_determinant.expect("all is identified"), -0.48847525, 1e-8);
+    near::absolute("log |I|", found.log_determinant.expect("all is identified"), -0.48847525, 1e-8);
     let parts: Vec<(f64, f64)> = raw.iter().zip(&own).map(|(a, b)| lost(a, b).expect("less").range).collect();
     assert!(parts.iter().any(|(_, most)| *most > 0.05 && *most < 1.0), "nothing is lost: {parts:?}");
 }

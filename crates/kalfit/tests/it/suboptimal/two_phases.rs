@@ -2,6 +2,7 @@
 //! reductions and terminals of each phase say.
 
 use kalfit::reduce::{EstimateReducer, Estimates, Reduction, Terminal};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 
 use super::drawn::{Drawn, Kind, draw, generator, matrix};
@@ -53,11 +54,6 @@ fn reduce(drawn: &Drawn, estimates: &Estimates) -> (DMatrix<f64>, DVector<f64>, 
     (r.transpose() * r, y, terminal)
 }
 
-fn assert_close(what: &str, seed: u64, found: &DMatrix<f64>, expected: &DMatrix<f64>) {
-    let off = (found - expected).amax();
-    assert!(off < 1e-5 * (1.0 + expected.amax()), "{what}, seed {seed}: {found} against {expected}");
-}
-
 /// Checks one pair of phases; `None` where something that the paper inverts has no inverse.
 fn check(seed: u64) -> Option<()> {
     let (one, two) = (draw(seed, Kind::Wrong).free(), draw(seed + 100_000, Kind::Wrong).free());
@@ -95,7 +91,12 @@ fn check(seed: u64) -> Option<()> {
     of_noise += &prior;
     let p_yw = invertible(&own_information)?;
     let yw = &p_yw * own.transpose() * own_weight * &phase.left;
-    assert_close("ŷ¹ and ŵ_T", seed, &column(&joint.rows(0, 2 * n).into_owned()), &column(&yw));
+    near::matrices(
+        format_args!("ŷ¹ and ŵ_T, seed {seed}"),
+        &column(&joint.rows(0, 2 * n).into_owned()),
+        &column(&yw),
+        1e-5,
+    );
     // (57): the third by itself
     let back = d_10.clone().try_inverse()?;
     let (y_s, p_s) = (&back * (&second.estimates - &second.offsets), &back * &noise_2 * back.transpose());
@@ -105,16 +106,26 @@ fn check(seed: u64) -> Option<()> {
     both.columns_mut(n, n).fill_with_identity();
     let y_2 = column(&(&y_s - &t * (&both * &yw + &first.drift)));
     let p_2 = &p_s + &t * &both * &p_yw * both.transpose() * t.transpose();
-    assert_close("(58)", seed, &column(&joint.rows(2 * n, n_2).into_owned()), &y_2);
-    assert_close("(59)", seed, &covariance.view((2 * n, 2 * n), (n_2, n_2)).into_owned(), &p_2);
+    near::matrices(format_args!("(58), seed {seed}"), &column(&joint.rows(2 * n, n_2).into_owned()), &y_2, 1e-5);
+    near::matrices(
+        format_args!("(59), seed {seed}"),
+        &covariance.view((2 * n, 2 * n), (n_2, n_2)).into_owned(),
+        &p_2,
+        1e-5,
+    );
     // the same from reductions and the terminal
     let (j_1, z_1, terminal) = reduce(&one, &first);
     let (j_2, z_2, _) = reduce(&two, &second);
     let (p_1, inverse_2) = (invertible(&j_1)?, invertible(&j_2)?);
     let last = &terminal.mean + &terminal.sensitivity * (&p_1 * z_1);
     let of_last = terminal.covariance() + &terminal.sensitivity * p_1 * terminal.sensitivity.transpose();
-    assert_close("ŷ² of reductions", seed, &column(&(&inverse_2 * z_2 - &t * last)), &y_2);
-    assert_close("its covariance", seed, &(inverse_2 + &t * of_last * t.transpose()), &p_2);
+    near::matrices(format_args!("ŷ² of reductions, seed {seed}"), &column(&(&inverse_2 * z_2 - &t * last)), &y_2, 1e-5);
+    near::matrices(
+        format_args!("its covariance, seed {seed}"),
+        &(inverse_2 + &t * of_last * t.transpose()),
+        &p_2,
+        1e-5,
+    );
     Some(())
 }
 

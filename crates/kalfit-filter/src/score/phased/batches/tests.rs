@@ -9,6 +9,7 @@ use crate::score::InitialLaw;
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
 use kalfit_fixtures::by_hand::{continuous, gauss_markov, minus};
+use kalfit_fixtures::near;
 use kalfit_model::Path;
 use kalfit_model::PhasedTest;
 use kalfit_model::Reduction;
@@ -156,13 +157,6 @@ fn case(seed: u64) -> (Case, Vec<PhasedTest>) {
     (Case { model, slots, law }, tests)
 }
 
-fn near(what: &str, tolerance: f64, found: &[f64], expected: &[f64]) {
-    let size = expected.iter().fold(1.0, |most: f64, x| most.max(x.abs()));
-    for (k, (found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!((found - expected).abs() <= tolerance * size, "{what}, number {k}: {found} for {expected}");
-    }
-}
-
 fn dense(gradient: &Gradient) -> Vec<f64> {
     let mut all = vec![0.0; VALUES.len()];
     gradient.iter().for_each(|&(slot, x)| all[slot] += x);
@@ -202,7 +196,12 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
                 assert_eq!((own.test, own.steps, own.observations), (alone.test, alone.steps, alone.observations));
                 assert_eq!(own.constant, alone.constant, "{what}, to the bit");
                 assert_eq!((own.data, own.factor), (alone.data, alone.factor), "{what}, to the bit");
-                near(&format!("{what}, score"), 10.0 * tolerance, &dense(&scores[j]), &dense(&by_themselves[j]));
+                near::slices(
+                    format_args!("{what}, score"),
+                    &dense(&scores[j]),
+                    &dense(&by_themselves[j]),
+                    10.0 * tolerance,
+                );
             }
         }
     }
@@ -225,7 +224,12 @@ fn long_tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themsel
             for j in 0..tests.len() {
                 let (own, alone) = (found.get(j), expected.get(j));
                 assert_eq!((own.constant, own.data), (alone.constant, alone.data), "seed {seed}, test {j}, to the bit");
-                near(&format!("seed {seed}, test {j}"), 1e-9, &dense(&scores[j]), &dense(&by_themselves[j]));
+                near::slices(
+                    format_args!("seed {seed}, test {j}"),
+                    &dense(&scores[j]),
+                    &dense(&by_themselves[j]),
+                    1e-9,
+                );
             }
         }
     }
@@ -248,7 +252,7 @@ fn the_score_of_small_correlated_noise_is_that_of_exact_arithmetic() {
         -0.0544455849646084,
         -0.308986077631296,
     ];
-    near("score", 1e-6, &dense(&scores[0])[..8], &exact);
+    near::slices("score", &dense(&scores[0])[..8], &exact, 1e-6);
 }
 
 #[test]
@@ -287,8 +291,8 @@ fn phases_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves(
             let (own, alone) = (found.get(j), expected.get(j));
             let what = format!("test {} of {} phases", alone.test, tests[j].phases.len());
             square_root_tests += usize::from(own.path == Path::SquareRoot);
-            near(&format!("{what}, ℓ"), tolerance, &[own.constant], &[alone.constant]);
-            near(&format!("{what}, score"), tolerance, &dense(&scores[j]), &dense(&by_themselves[j]));
+            near::slices(format_args!("{what}, ℓ"), &[own.constant], &[alone.constant], tolerance);
+            near::slices(format_args!("{what}, score"), &dense(&scores[j]), &dense(&by_themselves[j]), tolerance);
         }
     }
     assert!(square_root_tests > 5, "{square_root_tests} tests by square-root arrays");
