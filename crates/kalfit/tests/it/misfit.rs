@@ -4,6 +4,7 @@ use kalfit::build::{Columns, constant, measurement, name};
 use kalfit::infer::misfit::{FittedEnsemble, Misfit, TermKind, misfit};
 use kalfit::model::{CovarianceStructure, GroupLevel};
 use kalfit::{Alpha, Ensemble, PhasedModel, Population};
+use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 
 const NOISE: f64 = 0.3;
@@ -105,10 +106,6 @@ fn explained(columns: &DMatrix<f64>, residual: &DVector<f64>, inverse: &DMatrix<
     score.dot(&(information.cholesky().expect("independent columns").solve(&score)))
 }
 
-fn assert_near(what: &str, found: f64, expected: f64) {
-    assert!((found - expected).abs() <= 1e-7 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
-}
-
 #[test]
 fn terms_are_tested_under_the_law_of_the_whole_model() {
     let bench = Bench::new(|_, _, _| 0.0);
@@ -118,17 +115,17 @@ fn terms_are_tested_under_the_law_of_the_whole_model() {
     let n = residual.len();
     let square = residual.dot(&(&inverse * &residual));
     assert_eq!((found.tests, found.count), (UNITS * RUNS, n));
-    assert_near("r'V⁻¹r", found.nis, square);
+    near::mixed("r'V⁻¹r", found.nis, square, 1e-7);
     let (least, largest) = (design.column(1).min(), design.column(1).max());
     let centre = 0.5 * (least + largest);
     let curved = DMatrix::from_fn(n, 3, |i, k| if k < 2 { design[(i, k)] } else { (design[(i, 1)] - centre).powi(2) });
     let without = explained(&design, &residual, &inverse);
     let term = found.terms.iter().find(|term| matches!(term.kind, TermKind::Square(_))).expect("a square");
     let part = explained(&curved, &residual, &inverse) - without;
-    assert_near("F of the square", term.statistic, part / ((square - without - part) / (n - 3) as f64));
+    near::mixed("F of the square", term.statistic, part / ((square - without - part) / (n - 3) as f64), 1e-7);
     assert_eq!(term.degrees_of_freedom, [1, n - 3]);
     let by_test: f64 = found.by_test.iter().map(|(.., nis)| nis).sum();
-    assert_near("sum over tests", by_test, square);
+    near::mixed("sum over tests", by_test, square, 1e-7);
 }
 
 #[test]
@@ -144,7 +141,7 @@ fn tests_are_compared_with_the_others_of_their_unit() {
     let covariance = information.clone().cholesky().expect("both states are seen").inverse();
     let estimate = &covariance * (shift.transpose() * &inverse * &residual);
     assert_eq!(one.state, 0);
-    assert_near("deviation", one.deviation, estimate[0] / covariance[(0, 0)].sqrt());
+    near::mixed("deviation", one.deviation, estimate[0] / covariance[(0, 0)].sqrt(), 1e-7);
     let least = found.unlike.iter().min_by(|a, b| a.p_value.total_cmp(&b.p_value)).expect("tests");
     assert_eq!(&*least.test, "u2/1");
     assert!(least.p_value < 1e-3, "{}", least.p_value);
@@ -161,8 +158,8 @@ fn one_wrong_cell_leads_to_that_cell() {
         let own = residual.rows(test * ROWS, ROWS);
         let wrong = found.wrong_rows.iter().find(|wrong| &*wrong.test == "u3/2").expect("the test");
         let statistic = (&inverse * own)[row] / inverse[(row, row)].sqrt();
-        assert_near("auxiliary residual", wrong.deviation / wrong.std_dev, statistic);
-        assert_near("its size", wrong.std_dev, inverse[(row, row)].sqrt().recip());
+        near::mixed("auxiliary residual", wrong.deviation / wrong.std_dev, statistic, 1e-7);
+        near::mixed("its size", wrong.std_dev, inverse[(row, row)].sqrt().recip(), 1e-7);
         assert!(wrong.p_value < 1e-12, "row {row}: {}", wrong.p_value);
     }
 }
