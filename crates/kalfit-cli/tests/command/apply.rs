@@ -399,8 +399,8 @@ matrix = [[1, 0.3], [0.3, 0.5]]
         assert_eq!(states.len(), 8);
         for (row, expected) in states[2 * later..].iter().zip(filtered.as_flattened()) {
             let what = format!("{kind} {row:?}");
-            near(&what, number(row, "value"), expected.0);
-            near(&what, number(row, "std_dev"), expected.1);
+            near::mixed(&what, number(row, "value"), expected.0, 1e-9);
+            near::mixed(&what, number(row, "std_dev"), expected.1, 1e-9);
         }
     }
 }

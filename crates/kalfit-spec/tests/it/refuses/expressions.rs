@@ -125,7 +125,7 @@ fn each_equation_is_refused_with_its_message() {
     ];
     for (what, equation, message) in rows {
         assert_eq!(
-            refusal_in_one_line(&format!("[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = 1\n")),
+            refusal_in_one_line(&format!("[measurements.y]\nequation = \"{equation}\"\ncolumn = \"y\"\nnoise = 1\n")),
             message,
             "{what}"
         );
