@@ -2,9 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
+use kalfit_fixtures::near;
 use serde_json::Value;
 
-use crate::folder::{DATA, Folder, MODEL, near, shown};
+use crate::folder::{DATA, Folder, MODEL, shown};
 
 /// The notes of a fit that `check` has, too, since they need no fit; and fit.json.
 fn notes(model: &str, data: &str) -> (Vec<String>, Value) {
@@ -53,7 +54,7 @@ fn values_that_pile_up_at_their_ends() {
     let cured = model.replace("equation", "where = \"abs(gyro) < 250\"\nequation");
     let (found, fit) = notes(&cured, &file("clipped.csv"));
     assert!(found.iter().all(|note| !note.contains("exactly")), "{found:#?}");
-    near("scale", (fit["phases"][0]["mean"]["estimate"][1].as_f64().unwrap(), 2287.0), 1e-3);
+    near::mixed("scale", fit["phases"][0]["mean"]["estimate"][1].as_f64().unwrap(), 2287.0, 1e-3);
 }
 
 /// Accelerometers at rest: whole steps of a converter, three of eight constant.
@@ -95,8 +96,8 @@ fn recursions_over_steps_of_unequal_length() {
     let (found, fit) = notes(&cured, &file("nights.csv"));
     assert!(found.is_empty(), "{found:#?}");
     let rho = &fit["parameters"].as_array().unwrap().iter().find(|one| one["name"] == "rho").unwrap()["estimate"];
-    near("rho", (rho.as_f64().unwrap(), 0.6660), 1e-4);
-    near("log-likelihood", (fit["log_likelihood"].as_f64().unwrap(), -140.181_570_844), 1e-8);
+    near::mixed("rho", rho.as_f64().unwrap(), 0.6660, 1e-4);
+    near::mixed("log-likelihood", fit["log_likelihood"].as_f64().unwrap(), -140.181_570_844, 1e-8);
 }
 
 fn drifting(rows: &str) -> (Vec<String>, Value) {

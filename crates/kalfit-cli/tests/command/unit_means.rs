@@ -2,9 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
+use kalfit_fixtures::near;
 use serde_json::{Value, json};
 
-use crate::folder::{Folder, near, number, shown};
+use crate::folder::{Folder, number, shown};
 
 /// Both states vary from unit to unit, the first also from test to test.
 pub(crate) const SOME_STATES: &str = r#"[data]
@@ -68,9 +69,9 @@ fn a_new_unit_varies_by_all_levels_also_in_states_that_do_not_vary_from_test_to_
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
     for (state, row) in folder.table("p.csv").iter().enumerate() {
         let mean = record["phases"][0]["mean"]["estimate"][state].as_f64().unwrap();
-        near("mean", (number(row, "mean"), mean), 1e-12);
+        near::mixed("mean", number(row, "mean"), mean, 1e-12);
         let expected = (variance(&record, 0, state) + variance(&record, 1, state)).sqrt();
-        near("spread", (number(row, "std_dev_population"), expected), 1e-12);
+        near::mixed("spread", number(row, "std_dev_population"), expected, 1e-12);
     }
 }
 
@@ -98,13 +99,13 @@ fn the_mean_of_a_known_unit_follows_the_estimated_variances() {
                 "covariance[a, a]" => -above / (3.0 * (between + v)),
                 other => panic!("{other} of {names:?}"),
             };
-            near(name, (unit["by_estimates"][0][c].as_f64().unwrap(), expected), 1e-6);
+            near::mixed(name, unit["by_estimates"][0][c].as_f64().unwrap(), expected, 1e-6);
             slopes.push(if *name == "mean[a]" { v / (between + v) } else { expected });
         }
         let covariance = |i: usize, k: usize| record["estimates"]["covariance"][i][k].as_f64().unwrap();
         let by_estimates: f64 = (0..9).map(|at| slopes[at / 3] * slopes[at % 3] * covariance(at / 3, at % 3)).sum();
         let expected = (between * v / (between + v) + by_estimates).sqrt();
-        near("error", (number(&row, "std_dev_estimation"), expected), 1e-6);
+        near::mixed("error", number(&row, "std_dev_estimation"), expected, 1e-6);
     }
 }
 
