@@ -77,7 +77,11 @@ fn down(
     tests: &[Message],
     above: &[(DVector<f64>, DMatrix<f64>)],
 ) -> Vec<(DVector<f64>, DMatrix<f64>)> {
-    let outer = if level + 1 < roots.len() { spans(unit, grouping, level + 1) } else { vec![0..unit.tests.len()] };
+    let outer: Vec<Range<usize>> = if level + 1 < roots.len() {
+        spans(unit, grouping, level + 1)
+    } else {
+        std::iter::once(0..unit.tests.len()).collect()
+    };
     let of = |tests_of_group: &Range<usize>| {
         let parent = outer.iter().position(|group| group.contains(&tests_of_group.start)).unwrap_or(0);
         let message = upward(unit, grouping, (level, roots), tests, tests_of_group);

@@ -6,13 +6,16 @@ use kalfit::record::{MisfitRecord, MisfitTermRecord, SEARCH_LEVEL, WrongRowRecor
 use crate::number::{plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
-use crate::words::{clean, count};
+use crate::words::clean;
 
 const MOST_ROWS: usize = 8;
 
 pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let Some(misfit) = &record.misfit else { return String::new() };
     let parts = [terms(misfit, page), wrong_rows(misfit, page), unlike(misfit, page)];
+    if parts.iter().all(String::is_empty) {
+        return String::new();
+    }
     page.section("Misfit that tests have in common, and single rows", &parts.concat())
 }
 
@@ -21,7 +24,6 @@ fn terms(misfit: &MisfitRecord, page: &PageLayout<'_>) -> String {
     let all = misfit.terms.len() + usize::from(misfit.normality.is_some());
     let is_found = |p: f64| p * all as f64 <= SEARCH_LEVEL;
     let found: Vec<&MisfitTermRecord> = misfit.terms.iter().filter(|term| is_found(term.p_value)).collect();
-    let looked = format!("{} of {}", count(misfit.terms.len(), "term"), count(misfit.innovations, "innovation"));
     let mut lines = Vec::new();
     match &misfit.normality {
         Some(normality) if is_found(normality.p_value) => lines.push(format!(
@@ -31,8 +33,7 @@ fn terms(misfit: &MisfitRecord, page: &PageLayout<'_>) -> String {
         _ => {}
     }
     if found.is_empty() {
-        lines.insert(0, format!("No mean term is missing that the tests have in common (F tests of {looked})."));
-        return page.items(&lines);
+        return if lines.is_empty() { String::new() } else { page.items(&lines) };
     }
     let rows = &found[..found.len().min(page.rows(MOST_ROWS))];
     let cells = |of: fn(&MisfitTermRecord) -> String| rows.iter().map(|term| of(term)).collect();

@@ -242,6 +242,7 @@ fn records_whose_lists_do_not_match_give_a_page() {
         autocorrelation: vec![],
     };
     let innovations = InnovationRecord {
+        whitened_nis: None,
         count: 0,
         nis: Some(f64::NAN),
         nis_p_value: Some(f64::NAN),

@@ -76,6 +76,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
             rounding: 1e-13,
         },
         model_check: None,
+        misfit: None,
         solver: SolverRecord {
             method: "hybrid".into(),
             solver: "newton".into(),
