@@ -28,9 +28,17 @@ pub(super) fn units(tests: &[PhasedTest], grouping: Option<&Grouping>) -> Vec<Un
     let Some(grouping) = grouping else {
         return (0..tests.len()).map(|test| Unit { tests: vec![test] }).collect();
     };
+    // a group is known by its first test, since numbers of groups follow the order of the data
+    let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for (test, one) in tests.iter().enumerate() {
+        for (level, group) in path(grouping, &one.id).into_iter().enumerate() {
+            first.entry((level, group)).or_insert(test);
+        }
+    }
     let mut by_path: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
     for (test, one) in tests.iter().enumerate() {
-        by_path.entry(path(grouping, &one.id)).or_default().push(test);
+        let groups = path(grouping, &one.id).into_iter().enumerate();
+        by_path.entry(groups.map(|place| first[&place]).collect()).or_default().push(test);
     }
     let mut units: Vec<(Option<usize>, Unit)> = Vec::new();
     for (path, tests) in by_path {

@@ -3,7 +3,7 @@
 use kalfit_model::{Column, Evidence, PhasedModel, PhasedTest, Test};
 
 /// The model in which the m-th measurement of a phase reads the m-th of additional columns, and the tests with these
-/// columns. Tests in which no phase has rows are left out.
+/// columns, sorted by id. Tests in which no phase has rows are left out.
 pub(super) fn probed(model: &PhasedModel, tests: &[PhasedTest]) -> (PhasedModel, Vec<PhasedTest>) {
     let mut probe = model.clone();
     let more = model.phases.iter().map(|phase| phase.model.measurements.len()).max().unwrap_or(0);
@@ -14,7 +14,9 @@ pub(super) fn probed(model: &PhasedModel, tests: &[PhasedTest]) -> (PhasedModel,
         own.measurements.iter_mut().enumerate().for_each(|(m, meter)| meter.column = first + m);
     }
     let has_rows = |test: &&PhasedTest| test.phases.iter().all(|evidence| matches!(evidence, Evidence::Rows(_)));
-    let tests = tests.iter().filter(has_rows).map(|test| copied(model, test, more)).collect();
+    let mut tests: Vec<PhasedTest> = tests.iter().filter(has_rows).map(|test| copied(model, test, more)).collect();
+    // sums have the same bits in any order of the tests
+    tests.sort_by(|a, b| a.id.as_str().cmp(b.id.as_str()));
     (probe, tests)
 }
 
