@@ -131,10 +131,11 @@ class Fit(FitRecord):
 
     def constraints_frame(self) -> Any:
         """What each constraint costs as a ``pandas.DataFrame`` with a row for each constrained element, as ``kalfit fit --constraints``
-        writes it: ``element``, ``phase``, ``level``, ``value``, ``sensitivity``, ``score_statistic``, ``p_value`` and
-        ``expected_change``. This takes pandas.
+        writes it: ``element``, ``phase``, ``level``, ``value``, ``sensitivity``, ``score_statistic``, ``p_value``,
+        ``expected_change``, ``likelihood_ratio`` and ``likelihood_ratio_p_value``. This takes pandas.
         """
         numbers = ["value", "sensitivity", "score_statistic", "p_value", "expected_change"]
+        numbers += ["likelihood_ratio", "likelihood_ratio_p_value"]
         return data_frame(self._record["constraints"], ["element", "phase", "level"], numbers, [])
 
     def _model_of(self, model: Any) -> tuple[Any, Any]:

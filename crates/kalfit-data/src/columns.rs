@@ -9,14 +9,22 @@ pub struct FileColumns {
     pub near: Option<String>,
     /// All names, in the order of the file.
     pub names: Vec<String>,
+    /// What else may have been meant, in words: a state or a parameter of the model.
+    pub elsewhere: Option<String>,
 }
 
 impl FileColumns {
     /// What to do when the column that is needed is not there.
     pub(crate) fn hint(&self) -> String {
         const MOST: usize = 12;
-        if let Some(near) = &self.near {
-            return format!("there is a column `{near}`");
+        match (&self.near, &self.elsewhere) {
+            (Some(near), None) => return format!("there is a column `{near}`"),
+            (None, Some(other)) => return format!("what is no state or parameter is a column: is {other} meant?"),
+            (Some(near), Some(other)) => return format!("there is {other}, and a column `{near}`"),
+            (None, None) => {}
+        }
+        if let Some(hint) = self.blanks() {
+            return hint;
         }
         if let Some(mark @ ('#' | '%')) = self.names.first().and_then(|name| name.chars().next()) {
             return comment_hint(mark);
@@ -26,6 +34,18 @@ impl FileColumns {
         let more = self.names.len().saturating_sub(MOST);
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
         format!("its columns are {}{more}", shown.join(", "))
+    }
+
+    /// What to do where one name holds blanks as if they stood between the names of several columns.
+    fn blanks(&self) -> Option<String> {
+        let [only] = self.names.as_slice() else { return None };
+        let words = only.split_whitespace().count();
+        (words > 1).then(|| {
+            format!(
+                "its header is one name of {words} words: if blanks stand between columns, write commas in their place, for instance \
+                 by `sed -E 's/^ +//; s/ +/,/g' data.txt > data.csv`"
+            )
+        })
     }
 }
 

@@ -214,6 +214,8 @@ pub enum DataError {
         at: Box<CellPlace>,
         /// Its text, shortened.
         found: String,
+        /// What the number is needed for, in words.
+        used_in: Box<str>,
     },
     /// The first row after the header holds texts only.
     #[error("{file}, row {row}: found `{found}` and no number in the first row after the header, expected numbers")]

@@ -28,7 +28,9 @@ impl DataError {
             DataError::LongText { .. } => "ids, names of groups and values of columns of text are short; the file may be damaged".into(),
             DataError::CarriageReturns { .. } => "save the file with the line ends of Unix or Windows".into(),
             DataError::NotUtf8 { .. } => "save the file as UTF-8".into(),
-            DataError::NotANumber { found, .. } => number_hint(found),
+            DataError::NotANumber { at, found, used_in } => {
+                text_hint(&at.column, found, used_in).unwrap_or_else(|| number_hint(found))
+            }
             DataError::Infinite { .. } => "write `NA` where there is no measurement".into(),
             DataError::MissingTest { .. } => "every row needs the id of its test".into(),
             DataError::MissingGroup { .. } => "every row needs the group of its test at every level of `levels` of `[data]`".into(),
@@ -106,6 +108,45 @@ fn european(found: &str) -> Option<String> {
     let year = number(year, 4).filter(|_| year.len() == 4)?;
     let iso = format!("{year:04}-{month:02}-{day:02}{}", time.map_or(String::new(), |time| format!("T{time}")));
     Moment::parse(&iso).map(|_| iso)
+}
+
+/// Names that spreadsheets give to the row below the others.
+const TOTALS: [&str; 10] =
+    ["total", "totals", "grand total", "subtotal", "sum", "mean", "average", "median", "overall", "summe"];
+
+/// A row by this name sums up others.
+pub fn is_total(name: &str) -> bool {
+    let name = name.trim().trim_end_matches(':').to_lowercase();
+    TOTALS.contains(&name.as_str())
+}
+
+/// What a word in a column of numbers may have meant, by what the column is used for.
+fn text_hint(column: &str, found: &str, used_in: &str) -> Option<String> {
+    let is_word = found.starts_with(char::is_alphabetic) && !["true", "false"].contains(&found.to_lowercase().as_str());
+    let (word, name) =
+        (found.replace('\'', ""), if is_plain(column) { column.to_owned() } else { format!("`{column}`") });
+    if is_total(found) {
+        Some("the row seems to sum up others: remove it".into())
+    } else if !is_word || used_in.is_empty() {
+        None
+    } else if used_in.starts_with("regression") {
+        Some(format!(
+            "a regression takes numbers: write a column of 0 and 1 for `{word}`, or give the equation a state with `random = false` \
+             times `if({name} == '{word}', 1, 0)` in place of the regression; only a text for missing cells goes into `missing` of `[data]`"
+        ))
+    } else if used_in.contains("equation") {
+        Some(format!(
+            "a text is compared, as in `if({name} == '{word}', 1, 0)`; leave a missing cell empty, or add its text to `missing` of `[data]`"
+        ))
+    } else {
+        None
+    }
+}
+
+/// A name that needs no quotes in an equation.
+fn is_plain(name: &str) -> bool {
+    let mut letters = name.chars();
+    letters.next().is_some_and(|c| c.is_alphabetic() || c == '_') && letters.all(|c| c.is_alphanumeric() || c == '_')
 }
 
 /// What a text in a numeric column may have meant.

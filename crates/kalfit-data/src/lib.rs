@@ -64,6 +64,7 @@ mod wanted;
 mod write;
 
 pub use error::DataError;
+pub use hint::is_total;
 pub use input::{Datum, Input};
 pub use memory::MemoryTable;
 pub use place::CellPlace;

@@ -7,14 +7,29 @@ use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp};
 
 /// The time of one row.
-#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Moment {
     /// A number in the model's unit.
     Number(f64),
+    /// A whole number that a float does not hold, such as nanoseconds since 1970.
+    Whole(i64),
     /// A date-time without an offset: nanoseconds since 1970-01-01T00:00 on the same clock.
     Civil(i128),
     /// A date-time with an offset: nanoseconds since 1970-01-01T00:00Z.
     Instant(i128),
+}
+
+/// Whole numbers up to this one are floats, exactly.
+const EXACT: f64 = 9_007_199_254_740_992.0;
+
+impl PartialOrd for Moment {
+    fn partial_cmp(&self, other: &Moment) -> Option<std::cmp::Ordering> {
+        match (*self, *other) {
+            (Moment::Whole(a), Moment::Whole(b)) => Some(a.cmp(&b)),
+            (Moment::Civil(a), Moment::Civil(b)) | (Moment::Instant(a), Moment::Instant(b)) => Some(a.cmp(&b)),
+            (a, b) => a.number()?.partial_cmp(&b.number()?),
+        }
+    }
 }
 
 const EPOCH: DateTime = DateTime::constant(1970, 1, 1, 0, 0, 0, 0);
@@ -33,10 +48,25 @@ impl Moment {
         Some(Moment::Civil(civil.duration_since(EPOCH).as_nanos()))
     }
 
+    /// The time in a cell that holds this number.
+    pub(crate) fn of_number(value: f64, cell: &[u8]) -> Moment {
+        let whole = || std::str::from_utf8(cell).ok()?.trim().parse().ok();
+        if value.abs() <= EXACT { Moment::Number(value) } else { whole().map_or(Moment::Number(value), Moment::Whole) }
+    }
+
+    /// The nearest float to a number; `None` of a date-time.
+    fn number(self) -> Option<f64> {
+        match self {
+            Moment::Number(value) => Some(value),
+            Moment::Whole(value) => Some(value as f64),
+            Moment::Civil(_) | Moment::Instant(_) => None,
+        }
+    }
+
     /// What it is, in words.
     pub(crate) fn kind(self) -> &'static str {
         match self {
-            Moment::Number(_) => "a number",
+            Moment::Number(_) | Moment::Whole(_) => "a number",
             Moment::Civil(_) => "a date-time without an offset",
             Moment::Instant(_) => "a date-time with an offset",
         }
@@ -44,7 +74,8 @@ impl Moment {
 
     /// True when both are numbers, or both date-times of the same kind.
     pub(crate) fn same_kind(self, other: Moment) -> bool {
-        std::mem::discriminant(&self) == std::mem::discriminant(&other)
+        let numbers = self.number().is_some() && other.number().is_some();
+        numbers || std::mem::discriminant(&self) == std::mem::discriminant(&other)
     }
 
     /// The number the core sees: the number itself, or the time since `first` in units of `unit` nanoseconds.
@@ -54,8 +85,7 @@ impl Moment {
                 let elapsed = now - first;
                 (elapsed / unit) as f64 + (elapsed % unit) as f64 / unit as f64
             }
-            (Moment::Number(value), _) => value,
-            _ => f64::NAN, // unreachable: moments of a column are of one kind
+            _ => self.number().unwrap_or(f64::NAN), // moments of a column are of one kind
         }
     }
 }
@@ -65,6 +95,7 @@ impl fmt::Display for Moment {
         let instant = |nanoseconds: i128| Timestamp::from_nanosecond(nanoseconds).ok();
         match *self {
             Moment::Number(value) => write!(f, "{value}"),
+            Moment::Whole(value) => write!(f, "{value}"),
             Moment::Civil(ns) => match instant(ns) {
                 Some(at) => write!(f, "{}", TimeZone::UTC.to_datetime(at)),
                 None => write!(f, "1970-01-01 + {ns} ns"),
@@ -85,24 +116,6 @@ pub(crate) fn date_text(days: i64) -> String {
     }
 }
 
-/// Nanoseconds in a unit of time, by its symbol or its English name. None when it is not one of fixed length.
-pub(crate) fn unit_nanoseconds(unit: &str) -> Option<i128> {
-    const SECOND: i128 = 1_000_000_000;
-    let unit = unit.trim();
-    let name = if unit.chars().count() > 2 { unit.to_lowercase() } else { unit.to_owned() };
-    Some(match name.as_str() {
-        "ns" | "nanosecond" | "nanoseconds" => 1,
-        "us" | "µs" | "μs" | "usec" | "microsecond" | "microseconds" => 1_000,
-        "ms" | "msec" | "millisecond" | "milliseconds" => 1_000_000,
-        "s" | "sec" | "secs" | "second" | "seconds" => SECOND,
-        "min" | "mins" | "minute" | "minutes" => 60 * SECOND,
-        "h" | "hr" | "hrs" | "hour" | "hours" => 3_600 * SECOND,
-        "d" | "day" | "days" => 86_400 * SECOND,
-        "week" | "weeks" => 7 * 86_400 * SECOND,
-        _ => return None,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -120,22 +133,23 @@ mod tests {
     }
 
     #[test]
+    fn whole_numbers_that_are_no_floats_are_compared_and_printed_as_they_stand() {
+        let (one, next) = (b"1403643768757536499", b" 1403643768757536500 ");
+        let [one, next] = [&one[..], &next[..]].map(|cell| Moment::of_number(1_403_643_768_757_536_500.0, cell));
+        assert!(one < next && one.same_kind(Moment::Number(1.0)) && Moment::Number(1.0) < one);
+        assert_eq!(one.to_string(), "1403643768757536499");
+        assert_eq!(one.value(Moment::Number(1.0), 1), 1_403_643_768_757_536_512.0);
+        assert_eq!(Moment::of_number(1e300, b"1e300"), Moment::Number(1e300));
+        assert_eq!(Moment::of_number(12.0, b"12"), Moment::Number(12.0));
+    }
+
+    #[test]
     fn elapsed_time_is_exact_where_a_difference_of_floats_is_not() {
         let first = Moment::parse("2024-01-01T00:00:00.1Z").unwrap();
         let later = Moment::parse("2024-01-01T00:00:00.3Z").unwrap();
         assert_eq!(later.value(first, 1_000_000_000), 0.2);
         let year = Moment::parse("2025-01-01T00:00:00.1Z").unwrap();
         assert_eq!(year.value(first, 86_400_000_000_000), 366.0);
-    }
-
-    #[test]
-    fn units_are_known_by_symbol_and_name() {
-        for (unit, expected) in [("ms", 1_000_000), (" s ", 1_000_000_000), ("Hours", 3_600_000_000_000)] {
-            assert_eq!(unit_nanoseconds(unit), Some(expected), "{unit}");
-        }
-        for unit in ["m", "month", "", "S", "fortnight"] {
-            assert_eq!(unit_nanoseconds(unit), None, "{unit}");
-        }
     }
 
     #[test]

@@ -3,14 +3,14 @@
 use std::hash::BuildHasher;
 use std::ops::Range;
 
-use kalfit::{Label, Labels, PhasedModel, Test};
+use kalfit::{Label, Labels, PhasedModel, Test, time_unit};
 
 use crate::block::RowBlock;
 use crate::cell::shown;
 use crate::error::DataError;
 use crate::gather::{TestGatherer, TestTurn};
 use crate::input::Input;
-use crate::moment::{Moment, unit_nanoseconds};
+use crate::moment::Moment;
 use crate::place::CellPlace;
 use crate::room::MemoryWatch;
 use crate::sink::{DataReading, ReadError, TestSink};
@@ -241,8 +241,8 @@ impl TimeChecker<'_> {
             }),
             None => {
                 let at = self.place(block, row, file);
-                if !matches!(now, Moment::Number(_)) {
-                    let Some(unit) = self.time_unit.and_then(unit_nanoseconds) else {
+                if !now.same_kind(Moment::Number(0.0)) {
+                    let Some(unit) = self.time_unit.and_then(time_unit::nanoseconds) else {
                         return Err(DataError::TimeUnit { at, found: self.time_unit.map(str::to_owned) });
                     };
                     self.unit = unit;

@@ -130,7 +130,7 @@ impl WantedColumn {
                 file: file.to_owned(),
                 column: self.name.clone(),
                 used_in: self.used_in.clone(),
-                columns: Box::new(FileColumns { near: nearest(name, &names), names }),
+                columns: Box::new(FileColumns { near: nearest(name, &names), names, elsewhere: None }),
             });
         };
         match places.next() {
@@ -177,7 +177,9 @@ impl WantedColumn {
     pub(crate) fn fault(&self, fault: CellFault, file: &str, row: u64, cell: &[u8]) -> DataError {
         let at = self.place(file, row);
         match fault {
-            CellFault::NotANumber => DataError::NotANumber { at, found: shown(cell) },
+            CellFault::NotANumber => {
+                DataError::NotANumber { at, found: shown(cell), used_in: self.used_in.as_str().into() }
+            }
             CellFault::Infinite => DataError::Infinite { at, found: shown(cell) },
             CellFault::NotUtf8 => self.not_utf8(file, row),
         }
@@ -197,7 +199,7 @@ impl WantedColumn {
     ) -> Result<Moment, DataError> {
         match number {
             Ok(value) if value.is_nan() => Err(DataError::MissingTime { at: self.place(file, row) }),
-            Ok(value) => Ok(Moment::Number(value)),
+            Ok(value) => Ok(Moment::of_number(value, cell)),
             Err(CellFault::NotANumber) => {
                 let text = std::str::from_utf8(cell.trim_ascii()).map_err(|_| self.not_utf8(file, row))?;
                 Moment::parse(text)

@@ -1,6 +1,7 @@
 //! How often the checks of a fit accuse a model that is right: the tails of the whiteness test, of the size of innovations and of
 //! distances by plain simulation, and whole ensembles drawn from a model and fitted with it.
 
+mod constraints;
 mod count;
 mod simulated;
 mod tails;
@@ -44,6 +45,9 @@ pub(crate) struct FalseAlarmOptions {
     /// Ensembles of 20 000 tests; none are simulated with 0.
     #[arg(long, default_value_t = 200)]
     ensembles: u64,
+    /// Ensembles of 8, 24 and 100 tests, for the tests of constraints; none are simulated with 0.
+    #[arg(long, default_value_t = 20_000)]
+    constrained: u64,
 }
 
 /// Simulates what is asked for; fails when a search accuses too often.
@@ -52,7 +56,8 @@ pub(crate) fn run(options: &FalseAlarmOptions) -> ExitCode {
         whiteness_table(options.numbers);
     }
     let tails = if options.tests > 0 { tails::run(options.tests) } else { Ok(()) };
-    match tails.and_then(|()| whole(options.ensembles)) {
+    let few = || if options.constrained > 0 { constraints::run(options.constrained) } else { Ok(()) };
+    match tails.and_then(|()| few()).and_then(|()| whole(options.ensembles)) {
         Ok(code) => code,
         Err(error) => {
             eprintln!("{error}");

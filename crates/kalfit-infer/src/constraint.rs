@@ -1,12 +1,12 @@
 //! Sensitivity dℓ_max/d(value) and score test of each constraint (theory §4).
 
-use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
+use nalgebra::DVector;
 
-use crate::law::AsymptoticLaw;
+use crate::room::room;
+use crate::score_test::{ScoreLaw, p_value};
 use kalfit_algebra::elements::Element;
 use kalfit_algebra::symmetric::pair;
-use kalfit_estimate::{CoordinateForm, Estimate, FinalState, Mixed, Objective};
+use kalfit_estimate::{CoordinateForm, Estimate, FinalState};
 use kalfit_model::MeanElement;
 
 /// Sensitivity of ℓ_max to the value at which one element is held, and the score (Lagrange multiplier) test of that
@@ -19,13 +19,25 @@ pub struct Sensitivity {
     pub value: f64,
     /// dℓ_max / d value; an off-diagonal element moves in both triangles.
     pub sensitivity: f64,
-    /// Score statistic; `None` where freeing only this element makes no sense, or where the data have no information on
-    /// the element.
+    /// Score statistic, from the expected information; `None` where freeing only this element makes no sense, or where
+    /// the data have no information on the element.
     pub statistic: Option<f64>,
     /// p-value of the statistic: χ² with one degree of freedom, one-sided for a variance held at zero.
     pub p_value: Option<f64>,
-    /// Change of the element when freed, to first order.
+    /// Change of the element when freed, to first order, no further than where Σ ceases to be positive semidefinite.
     pub expected_change: Option<f64>,
+    /// The likelihood ratio -2 log λ of the constraint, by a fit with only this element freed; `None` where the score
+    /// test does not speak against the constraint, or where there was no such fit.
+    pub ratio: Option<f64>,
+    /// p-value of the likelihood ratio, by the law of the score statistic.
+    pub ratio_p_value: Option<f64>,
+}
+
+impl Sensitivity {
+    /// Whether only one side of the held value is possible: a variance of zero.
+    pub(crate) fn is_one_sided(&self) -> bool {
+        matches!(self.element, Element::Covariance(i, j) if i == j) && self.value == 0.0
+    }
 }
 
 /// Sensitivities of all constrained elements: the mean first, then Σ by rows. Zero correlations between states of
@@ -35,7 +47,7 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     if !holds_any(state) {
         return Vec::new();
     }
-    let law = AsymptoticLaw::new(state);
+    let law = ScoreLaw::new(state);
     let mut found: Vec<Sensitivity> = Vec::new();
     let elements = state.structure().elements();
     let own = state.structure().reduced_dimension(); // the effects of groups have no mean
@@ -86,15 +98,9 @@ fn held(state: &FinalState, i: usize, j: usize) -> Option<HeldElement> {
 }
 
 /// Sensitivity of a fixed element of the mean; elements tied to the fixed element move along.
-fn of_mean(
-    state: &FinalState,
-    law: &AsymptoticLaw<'_>,
-    elements: &[MeanElement],
-    (i, value): (usize, f64),
-) -> Sensitivity {
+fn of_mean(state: &FinalState, law: &ScoreLaw<'_>, elements: &[MeanElement], (i, value): (usize, f64)) -> Sensitivity {
     let scale = &state.problem.classes.frame.scale;
-    let local = &state.newton_iterate.local;
-    let mut direction = DVector::zeros(local.mean_score.len());
+    let mut direction = law.no_direction();
     direction[i] = scale[i].recip();
     for (t, element) in elements.iter().enumerate() {
         if let MeanElement::Tied { terms, .. } = element {
@@ -102,22 +108,13 @@ fn of_mean(
             direction[t] += weight / scale[t];
         }
     }
-    let score = local.mean_score.dot(&direction);
-    let own = direction.dot(&(&local.mean_information * &direction));
-    let mean = &local.mean_information * &direction;
-    let sigma = local.cross.transpose() * &direction;
-    let lost_information =
-        lost_information(state, law, (&mean, &sigma), &|mixed| mixed.columns(0, direction.len()) * &direction);
-    let test = score_test(score, own, own - lost_information, false);
-    Sensitivity { element: Element::Mean(i), value, sensitivity: score, ..test }
+    let of_means = &state.newton_iterate.local.mean_score;
+    let score = of_means.dot(&direction.rows(0, of_means.len()));
+    let held = untested(Element::Mean(i), value, score);
+    tested(held, law, &direction, [f64::NEG_INFINITY, f64::INFINITY])
 }
 
-fn of_covariance(
-    estimate: &Estimate,
-    law: &AsymptoticLaw<'_>,
-    (i, j): (usize, usize),
-    held: HeldElement,
-) -> Sensitivity {
+fn of_covariance(estimate: &Estimate, law: &ScoreLaw<'_>, (i, j): (usize, usize), held: HeldElement) -> Sensitivity {
     let state = &estimate.state;
     let scale = &state.problem.classes.frame.scale;
     let unit = (scale[i] * scale[j]).recip();
@@ -128,77 +125,41 @@ fn of_covariance(
             HeldElement::Multiplier(multiplier) => multiplier,
             HeldElement::Form => multiplicity * local.score[(i, j)],
         };
-    let k = state.problem.covariance.elements.index(i, j);
-    let mean: DVector<f64> = local.cross.column(k) * unit;
-    let sigma: DVector<f64> = local.information.column(k) * unit;
-    let own = local.information[(k, k)] * unit * unit;
-    let value = estimate.covariance[(i, j)];
+    let held = untested(Element::Covariance(i, j), estimate.covariance[(i, j)], score);
     let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
     let can_be_freed = i == j || !(zero(i) || zero(j)); // σ_ij cannot be freed while σ_ii or σ_jj is zero
-    let one_sided = i == j && value == 0.0;
-    let column = local.mean_score.len() + k;
-    let lost_information = lost_information(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
-    let test = score_test(score, own, own - lost_information, one_sided);
-    let test = if can_be_freed && !matches!(state.problem.covariance.form_of(i), CoordinateForm::Fixed(_)) {
-        test
-    } else {
-        without_test(score)
-    };
-    Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
+    if !can_be_freed || matches!(state.problem.covariance.form_of(i), CoordinateForm::Fixed(_)) {
+        return held;
+    }
+    let mut direction = law.no_direction();
+    direction[local.mean_score.len() + state.problem.covariance.elements.index(i, j)] = unit;
+    tested(held, law, &direction, room(&estimate.covariance, (i, j)))
 }
 
-/// I_ez I_zz⁻¹ I_ze: information on an element that is lost because the free coordinates adapt: the coordinates of (μ,
-/// Σ), and of α where the joint information is known. `mean` and `sigma` are the element's cross information with mean
-/// coordinates and elements of Σ; `of_alpha` extracts the element's cross information with α.
-fn lost_information(
-    state: &FinalState,
-    law: &AsymptoticLaw<'_>,
-    (mean, sigma): (&DVector<f64>, &DVector<f64>),
-    of_alpha: &dyn Fn(&DMatrix<f64>) -> DVector<f64>,
-) -> f64 {
-    let tangent = &state.newton_iterate.tangent;
-    let along = tangent.pulled_back(state.problem.mean_jacobian(), mean, &tangent.jacobian.transposed_times(sigma));
-    match state.joint.as_ref().and_then(|joint| joint.mixed.as_ref()) {
-        None => along.dot(&(law.coordinates() * &along)),
-        Some(Mixed { covariance, information }) => {
-            let cross_alpha = of_alpha(information);
-            let all = along.iter().chain(cross_alpha.iter()).copied();
-            let cross = DVector::from_iterator(along.len() + cross_alpha.len(), all);
-            cross.dot(&(covariance * &cross))
-        }
-    }
-}
-
-/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): squared score of the element, divided by the variance of the score after the free
-/// coordinates have adapted. `own` is I_ee, `information` is the denominator.
-fn score_test(score: f64, own: f64, information: f64, one_sided: bool) -> Sensitivity {
-    if information.is_nan() || information <= 1e-10 * own.abs() {
-        return without_test(score);
-    }
+/// The score test of a held element whose unit is `direction` in η: s² / information, with the information that is left
+/// after the free coordinates have adapted; `room` bounds the change of the element.
+fn tested(held: Sensitivity, law: &ScoreLaw<'_>, direction: &DVector<f64>, room: [f64; 2]) -> Sensitivity {
+    let Some(information) = law.information(direction) else { return held };
+    let score = held.sensitivity;
     let statistic = score * score / information;
-    let chi = ChiSquared::new(1.0).expect("one degree of freedom is legal");
-    let two_sided = chi.sf(statistic);
-    let p_value = match (one_sided, score > 0.0) {
-        (false, _) => two_sided,
-        (true, true) => 0.5 * two_sided,
-        (true, false) => 1.0,
-    };
-    let change = score / information;
+    let one_sided = held.is_one_sided();
     Sensitivity {
         statistic: Some(statistic),
-        p_value: Some(p_value),
-        expected_change: Some(if one_sided { change.max(0.0) } else { change }),
-        ..without_test(score)
+        p_value: Some(if one_sided && score <= 0.0 { 1.0 } else { p_value(statistic, one_sided) }),
+        expected_change: Some((score / information).clamp(room[0], room[1])),
+        ..held
     }
 }
 
-fn without_test(score: f64) -> Sensitivity {
+fn untested(element: Element, value: f64, score: f64) -> Sensitivity {
     Sensitivity {
-        element: Element::Mean(0),
-        value: 0.0,
+        element,
+        value,
         sensitivity: score,
         statistic: None,
         p_value: None,
         expected_change: None,
+        ratio: None,
+        ratio_p_value: None,
     }
 }

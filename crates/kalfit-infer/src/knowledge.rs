@@ -12,7 +12,7 @@ const STEP_PER_STD_ERROR: f64 = 1e-3;
 pub const MAX_RELATIVE_STEP: f64 = 1e-3;
 
 /// An estimated quantity of a model.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Estimand {
     /// An element of μ, a regression coefficient or an element of Σ.
     Population(Estimated),

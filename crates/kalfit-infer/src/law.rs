@@ -99,7 +99,7 @@ impl<'a> AsymptoticLaw<'a> {
     }
 
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
-    pub(super) fn jacobian(&self) -> &Sparse {
+    pub(crate) fn jacobian(&self) -> &Sparse {
         &self.jacobian
     }
 
@@ -259,7 +259,7 @@ fn outer_scores(state: &FinalState, reductions: &Reductions, m: usize, s: usize)
 }
 
 /// Inverse after scaling to unit diagonal; flat and negative directions carry no information and are omitted.
-fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
+pub(crate) fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let n = information.nrows();
     let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
     let scale = DVector::from_fn(n, |i, _| unit(i));

@@ -34,6 +34,9 @@ pub struct GroupPosterior {
     pub tests: usize,
     /// d`mean` / d(μ, regression coefficients) (p × (p + coefficients)); `None` without regressions.
     pub follows: Option<DMatrix<f64>>,
+    /// d`mean` / d(estimates), in the order of the covariance of all estimates (p × estimates), with zeros for estimates
+    /// that are no elements of Σ; `None` where it was not computed.
+    pub by_estimates: Option<DMatrix<f64>>,
 }
 
 /// Tests in groups; `evidence`: reductions in the per-test effect and the effects of the test's groups.
@@ -75,6 +78,7 @@ impl GroupedTests<'_> {
             within: found.within,
             tests,
             follows: self.follows(&found.follows),
+            by_estimates: None,
         }
     }
 }

@@ -15,6 +15,7 @@ mod each;
 mod ends;
 mod estimated;
 mod estimates;
+mod freed;
 mod held;
 mod holdable;
 mod identifiability;
@@ -24,6 +25,8 @@ mod knowledge;
 mod law;
 mod levels;
 mod mean_limits;
+mod mean_slopes;
+pub mod misfit;
 mod observability;
 mod observed;
 mod phases;
@@ -32,6 +35,8 @@ mod posteriors;
 mod progress;
 mod ratio;
 mod reason;
+mod room;
+mod score_test;
 mod std_errors;
 
 pub use constraint::{Sensitivity, sensitivities};
@@ -148,7 +153,7 @@ pub struct Inference {
 
 /// Computes the inference from an estimate and the reductions of the estimate.
 pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> Inference {
-    inferred(estimate, reductions, choices, &SharedProgress::new(&mut Silent, None))
+    with_ratios((estimate, reductions), choices, &SharedProgress::new(&mut Silent, None))
 }
 
 /// Computes the inference as [`infer`] does, and reports to `progress` which interval is computed. Once `progress`
@@ -159,7 +164,24 @@ pub fn infer_while(
     choices: Choices,
     progress: &mut dyn Progress,
 ) -> Inference {
-    inferred(estimate, reductions, choices, &SharedProgress::new(progress, Some(model)))
+    with_ratios((estimate, reductions), choices, &SharedProgress::new(progress, Some(model)))
+}
+
+/// The inference of an estimate with known α, with likelihood ratios of the constraints that score tests reject.
+fn with_ratios(
+    (estimate, reductions): (&Estimate, &Reductions),
+    choices: Choices,
+    progress: &SharedProgress<'_>,
+) -> Inference {
+    let mut inference = inferred(estimate, reductions, choices, progress);
+    if freed::is_possible(estimate, reductions) {
+        let maximum = |freed: &freed::Freed, _: f64, _: bool| match progress.stops() {
+            true => None,
+            false => freed::freed_maximum(estimate, reductions, freed),
+        };
+        freed::add_ratios(estimate, &mut inference.sensitivities, &maximum);
+    }
+    inference
 }
 
 /// Computes the inference as [`infer_while`] does, with a `progress` that threads already share.
@@ -190,10 +212,13 @@ pub(crate) fn inferred(
         DeletionChoice::None => false,
     };
     let grouped = estimate.grouping().is_some();
-    let (posteriors, groups) = match each {
+    let (posteriors, mut groups) = match each {
         true => each::estimated(estimate, reductions),
         false => (Posteriors::default(), Vec::new()),
     };
+    if let (Some(estimates), Some(innermost)) = (&estimates, groups.first_mut()) {
+        mean_slopes::add(estimate, &evidence, estimates, innermost);
+    }
     let (deletions, group_deletions) = match computes_deletions {
         true if grouped => levels::deletions(estimate, &evidence, progress).unzip(),
         true => (deletions_while(estimate, reductions, progress), None),

@@ -19,6 +19,7 @@ use crate::failure::Failure;
 use crate::job::{CheckJob, JobDone, files};
 use crate::offset::Multipliers;
 use crate::output::OutputFile;
+use crate::survey::DataSurvey;
 use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, memory, model, reductions, tests};
 
@@ -50,16 +51,24 @@ pub fn check(job: &CheckJob, watch: &mut dyn JobWatch) -> Result<JobDone<CheckRe
 /// Reads the data and runs the filters: all parameters are known.
 fn known(spec: &Spec, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<CheckFindings, Failure> {
     let alpha = model::alpha(spec);
-    let (mut counts, mut multipliers) = (no_counts(&spec.model), Multipliers::of(&spec.model));
+    let nothing = || (no_counts(&spec.model), Multipliers::of(&spec.model), DataSurvey::of(&spec.model));
+    let (mut counts, mut multipliers, mut survey) = nothing();
     let reductions = reductions::reduce(spec, &alpha, given, work, &mut |test| match test {
         Some(test) => {
             add(&mut counts, test);
             multipliers.add(test);
+            survey.add(test);
         }
-        None => (counts, multipliers) = (no_counts(&spec.model), Multipliers::of(&spec.model)),
+        None => (counts, multipliers, survey) = nothing(),
     })?;
     let model = (&spec.model, counts);
-    examined(model, &alpha, (&reductions, None), given.names(), (multipliers.notes(), Vec::new()))
+    examined(
+        model,
+        &alpha,
+        (&reductions, None),
+        given.names(),
+        ([survey.notes(), multipliers.notes()].concat(), Vec::new()),
+    )
 }
 
 fn no_counts(model: &PhasedModel) -> Vec<PhaseCounts> {
@@ -89,7 +98,8 @@ fn started(
     tests.iter().for_each(|test| add(&mut phases, test));
     let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);
     let counts = LevelCounts::all(model, &reading.labels, &tests);
-    let mut notes = level_notes(model, &counts);
+    let mut notes = DataSurvey::among(&spec.model, &tests).notes();
+    notes.extend(level_notes(model, &counts));
     notes.extend(Multipliers::among(&spec.model, &tests).notes());
     let mut parameters = parameters(model, &slots, &counts);
     let starts = starts((&spec.model, &slots), &tests, &reading, work)?;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
+use kalfit::infer::misfit::FittedEnsemble;
 use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
 use kalfit::reduce::grouping;
@@ -78,6 +79,10 @@ pub(crate) fn fit(
     if job.innovations {
         let at = (model, &fit.alpha, &population);
         innovations::add_of(&mut record, at, &tests, work);
+        let grouping = fit.estimate.grouping().map(|grouping| &**grouping);
+        let population = Population::from(&fit.estimate);
+        let of = FittedEnsemble { model, alpha: &fit.alpha, population: &population, tests: &tests, grouping };
+        innovations::add_misfit(&mut record, &of, work);
         record.solver.seconds = work.seconds();
     }
     Ok((record, HeldTests::Tests(tests, fit.alpha)))
@@ -98,9 +103,13 @@ pub(crate) fn known(
         TestSorting { by: groups.as_ref(), levels: grouping.as_ref().map(|grouping| (grouping, &reading.labels)) };
     let reductions = reductions::of_all(&spec.model, alpha, (tests, reading), work)?;
     let (mut record, population) = record(job, spec, given, (alpha, &reductions, sorted), work)?;
-    lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
+    let together = population.together(spec.model.dimension());
+    lost::add(&mut record, (&spec.model, alpha, &together), &reductions, (tests, reading));
     if job.innovations {
-        innovations::add_of(&mut record, (&spec.model, alpha, &population), tests, work);
+        innovations::add_of(&mut record, (&spec.model, alpha, &together), tests, work);
+        let of =
+            FittedEnsemble { model: &spec.model, alpha, population: &population, tests, grouping: grouping.as_deref() };
+        innovations::add_misfit(&mut record, &of, work);
         record.solver.seconds = work.seconds();
     }
     Ok(record)

@@ -364,9 +364,10 @@ impl SourcePlace {
 
 impl Failure {
     /// Wrong data, pointing into the model when that names a column they do not have.
-    pub(crate) fn data(error: DataError, spec: &Spec) -> Failure {
-        let place = match &error {
-            DataError::MissingColumn { column, .. } => {
+    pub(crate) fn data(mut error: DataError, spec: &Spec) -> Failure {
+        let place = match &mut error {
+            DataError::MissingColumn { column, columns, .. } => {
+                columns.elsewhere = spec.nearest_name(column);
                 SourcePlace::in_model(spec, spec.column_span(column), "this column is not in the data")
             }
             _ => None,

@@ -1,9 +1,10 @@
 //! `kalfit fit`.
 
 use kalfit::estimate::Criterion;
+use kalfit::infer::misfit::FittedEnsemble;
 use kalfit::infer::{StdErrors, TestsChoice};
 use kalfit::record::{ParameterRecord, TestGroups};
-use kalfit::{Alpha, FitRecord};
+use kalfit::{Alpha, FitRecord, PhasedTest};
 use kalfit_spec::Spec;
 
 use crate::along::HeldTests;
@@ -15,6 +16,7 @@ use crate::inferred::{TestSorting, beside, record};
 use crate::innovations::{self, KeptData};
 use crate::job::{FitJob, JobDone, files};
 use crate::offset::Multipliers;
+use crate::survey::DataSurvey;
 use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, groups, lost, memory, model, reductions, tests};
 
@@ -46,8 +48,17 @@ pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>,
     let read = files(&[&job.model.document], &given.inputs);
     let files = FitFiles::prepare(job, &read)?;
     let mut work = JobWork::new(watch);
-    let (mut record, held) =
-        if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
+    let mut survey = DataSurvey::of(&spec.model);
+    let (mut record, held) = if free {
+        dynamic::fit(job, &spec, &given, &mut work)?
+    } else {
+        known(job, (&spec, &mut survey), &given, &mut work)?
+    };
+    if let HeldTests::Tests(tests, _) = &held
+        && survey.is_empty()
+    {
+        survey = DataSurvey::among(&spec.model, tests);
+    }
     if let HeldTests::Tests(tests, _) = &held
         && is_in_doubt(&record)
     {
@@ -55,7 +66,7 @@ pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>,
     }
     record.add_by_group();
     record.add_model_check();
-    record.notes.splice(0..0, spec.questions().into_iter().chain(given.notes));
+    record.notes.splice(0..0, spec.questions().into_iter().chain(survey.notes()).chain(given.notes));
     if job.choices.tests == TestsChoice::None {
         record.notes.push(NO_TESTS.to_owned());
     }
@@ -76,9 +87,9 @@ fn is_in_doubt(record: &FitRecord) -> bool {
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
-fn known(
+fn known<'m>(
     job: &FitJob,
-    spec: &Spec,
+    (spec, survey): (&'m Spec, &mut DataSurvey<'m>),
     given: &CommandInputs,
     work: &mut JobWork<'_>,
 ) -> Result<(FitRecord, HeldTests), Failure> {
@@ -94,7 +105,11 @@ fn known(
     let looks_again = job.innovations || job.report.is_some();
     let mut kept = if looks_again { KeptData::of(&given.inputs) } else { KeptData::nothing() };
     kept.groups = TestGroups::new(spec.model.shared());
-    let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
+    let mut counted = |test: Option<&PhasedTest>| match test {
+        Some(test) => survey.add(test),
+        None => *survey = DataSurvey::of(&spec.model),
+    };
+    let reductions = reductions::reduce_keeping(spec, &alpha, given, (work, &mut counted), &mut kept)?;
     let (mut record, population) = record(
         job,
         spec,
@@ -105,6 +120,11 @@ fn known(
     beside(reductions); // what comes next can have their memory
     if job.innovations {
         innovations::add(&mut record, &mut kept, (spec, &alpha, &given.inputs), &population, work);
+        if let Some(tests) = kept.tests.known() {
+            let model = &spec.model;
+            let of = FittedEnsemble { model, alpha: &alpha, population: &population, tests, grouping: None };
+            innovations::add_misfit(&mut record, &of, work);
+        }
         record.solver.seconds = work.seconds();
     }
     Ok((record, HeldTests::kept(kept.tests.all(), alpha)))

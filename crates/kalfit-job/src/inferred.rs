@@ -24,7 +24,7 @@ pub(crate) struct TestSorting<'a> {
     pub(crate) levels: Option<(&'a Arc<Grouping>, &'a Labels)>,
 }
 
-/// Estimate, infer, record; the population that a test is of by itself too.
+/// Estimate, infer, record; the population of tests and levels too.
 pub(crate) fn record(
     job: &FitJob,
     spec: &Spec,
@@ -45,7 +45,7 @@ pub(crate) fn record(
         groups::add(job, &mut record, groups, (&spec.model, alpha, &estimate, reductions), work)?;
     }
     beside(inference);
-    let population = Population::from(&estimate).together(spec.model.dimension());
+    let population = Population::from(&estimate);
     beside(estimate);
     Ok((record, population))
 }

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::io::{Read, Seek, SeekFrom, Write};
 
+use kalfit::infer::misfit::{FittedEnsemble, misfit};
 use kalfit::innovations::{InnovationFilter, Innovations};
 use kalfit::model::Population;
 use kalfit::record::{InnovationRecord, InnovationRecords, SeriesKeeper, TestGroups, TestRecords};
@@ -93,6 +94,11 @@ impl KeptTests {
         }
     }
 
+    /// All tests; `None` where some were not kept.
+    pub(crate) fn known(&self) -> Option<&[PhasedTest]> {
+        (self.wanted && !self.overflowed).then_some(&self.tests)
+    }
+
     /// All of them; `None` where they are not all there.
     pub(crate) fn all(self) -> Option<Vec<PhasedTest>> {
         (self.wanted && !self.overflowed).then_some(self.tests)
@@ -153,6 +159,17 @@ pub(crate) fn add(
         .map_err(InnovationsUnavailable::Filter)
         .and_then(|looking| all(looking, kept, spec, inputs));
     finish(record, found);
+}
+
+/// Adds the misfit that tests have in common to the record; nothing where it cannot be looked for.
+pub(crate) fn add_misfit(record: &mut FitRecord, of: &FittedEnsemble<'_>, work: &mut JobWork<'_>) {
+    let found = misfit(of, &mut |share| {
+        work.share("misfit in common", (1e3 * share) as u64, 1000);
+        !work.is_stopped()
+    });
+    if let Ok(found) = found {
+        record.set_misfit(&found, of.model);
+    }
 }
 
 /// As [`add`], of tests that were all kept.

@@ -54,6 +54,7 @@ mod report;
 mod results;
 mod simulate;
 pub mod sums;
+mod survey;
 mod table;
 mod tables;
 mod test;

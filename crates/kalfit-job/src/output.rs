@@ -76,9 +76,9 @@ impl OutputError {
         match self {
             OutputError::NoFolder { .. } => Some("name a folder that exists"),
             OutputError::NotAFile { .. } => Some("`--out` takes a file such as `fit.json`"),
-            OutputError::Ending { option: "--report", .. } => {
-                Some("name it `.html`: `--report` takes a file for the page, `--out` one for the results, as JSON")
-            }
+            OutputError::Ending { option: "--report", .. } => Some(
+                "name it `.html`, from which a browser prints a PDF: `--report` takes a file for the page, `--out` one for the results, as JSON",
+            ),
             OutputError::Ending { contents: FileContents::Figure, .. } => Some("name it `.svg` or `.png`"),
             OutputError::Ending { contents: FileContents::Page, .. } => {
                 Some("name it `.html`: it is a page for a browser")
@@ -133,7 +133,8 @@ impl std::fmt::Display for FileContents {
 }
 
 impl FileContents {
-    /// A name may have any ending but that of another kind of file which the program reads or writes.
+    /// A name may have any ending but that of another kind of file which the program reads or writes; what stands behind a
+    /// page is opened by its ending, so a page has its own or none.
     fn suits(self, path: &Path) -> bool {
         const KINDS: [&str; 17] = [
             "json", "html", "htm", "csv", "tsv", "parquet", "arrow", "toml", "md", "npz", "mat", "h", "hh", "hpp",
@@ -149,7 +150,8 @@ impl FileContents {
             FileContents::Figure => &["svg", "png"],
         };
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
-        ending.is_none_or(|ending| own.contains(&ending.as_str()) || !KINDS.contains(&ending.as_str()))
+        let is_open = |ending: &str| self != FileContents::Page && !KINDS.contains(&ending);
+        ending.is_none_or(|ending| own.contains(&ending.as_str()) || is_open(&ending))
     }
 }
 

@@ -77,10 +77,10 @@ pub(crate) fn reduce_keeping(
     spec: &Spec,
     alpha: &Alpha,
     given: &CommandInputs,
-    work: &mut JobWork<'_>,
+    watched: (&mut JobWork<'_>, TestObserver<'_>),
     kept: &mut KeptData,
 ) -> Result<Reductions, Failure> {
-    read(spec, alpha, given, (work, &mut |_| ()), kept)
+    read(spec, alpha, given, watched, kept)
 }
 
 fn read(

@@ -207,6 +207,8 @@ mod tests {
             score_statistic: Some(4.0),
             p_value: Some(0.0455),
             expected_change: None,
+            likelihood_ratio: None,
+            likelihood_ratio_p_value: None,
         };
         let doc = "Square root of the score statistic.";
         let root = |own: &ConstraintRecord| {

@@ -89,6 +89,7 @@ impl FitRecord {
             reason: reason(estimate),
             certificate: certificate(estimate),
             model_check: None,
+            misfit: None,
             solver: solver(estimate, provenance.seconds),
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
@@ -220,6 +221,8 @@ fn constraint(cut: &BlockCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord
         score_statistic: sensitivity.statistic,
         p_value: sensitivity.p_value,
         expected_change: sensitivity.expected_change,
+        likelihood_ratio: sensitivity.ratio,
+        likelihood_ratio_p_value: sensitivity.ratio_p_value,
     }
 }
 

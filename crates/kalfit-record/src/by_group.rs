@@ -34,7 +34,7 @@ figures! {
         pub distance: Option<f64> = figure { heading: "distance²" },
         /// Degrees of freedom of the sum.
         pub degrees_of_freedom: usize = figure { heading: "expected" },
-        /// χ² p-value of so large a sum.
+        /// χ² p-value of so large a sum; null in models with levels, whose tests share effects.
         pub p_value: Option<f64> = figure { heading: "p-value", unit: FigureUnit::Probability },
     }
 }
@@ -146,17 +146,22 @@ impl FitRecord {
             numbers.entry(test.group).or_default().push(number);
         }
         let of = |(group, numbers): (Option<&String>, Vec<usize>)| {
-            GroupRecord::of(group, numbers.iter().map(|&number| self.tests.get(number)))
+            GroupRecord::of(!self.levels.is_empty(), group, numbers.iter().map(|&number| self.tests.get(number)))
         };
         self.by_group = numbers.into_iter().map(of).collect();
     }
 }
 
 impl GroupRecord {
-    fn of<'a>(group: Option<&String>, tests: impl ExactSizeIterator<Item = TestRecord<'a>> + Clone) -> GroupRecord {
+    /// `in_levels`: the tests share effects of levels, so that their distances are not independent.
+    fn of<'a>(
+        in_levels: bool,
+        group: Option<&String>,
+        tests: impl ExactSizeIterator<Item = TestRecord<'a>> + Clone,
+    ) -> GroupRecord {
         let figures = || tests.clone().filter_map(|test| test.innovations);
         let innovations: usize = figures().map(|figures| figures.count).sum();
-        let nis: f64 = figures().filter_map(|figures| figures.nis).sum();
+        let nis: f64 = figures().filter_map(|figures| figures.whitened_nis.or(figures.nis)).sum();
         let distances = || tests.clone().filter_map(|test| Some((test.distance?, test.degrees_of_freedom)));
         let (distance, degrees_of_freedom) = distances().fold((0.0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         let law = |degrees: usize| ChiSquared::new(degrees as f64).ok().filter(|_| degrees > 0);
@@ -170,7 +175,7 @@ impl GroupRecord {
             innovations_p_value: law(innovations).map(|chi| (2.0 * chi.sf(nis).min(chi.cdf(nis))).min(1.0)),
             distance: (degrees_of_freedom > 0).then_some(distance),
             degrees_of_freedom,
-            p_value: law(degrees_of_freedom).map(|chi| chi.sf(distance)),
+            p_value: law(degrees_of_freedom).filter(|_| !in_levels).map(|chi| chi.sf(distance)),
         }
     }
 }

@@ -20,11 +20,19 @@ figures! {
         pub value: f64 = figure { heading: "held at", unit: FigureUnit::Element },
         /// dℓ_max / d value.
         pub sensitivity: Option<f64> = figure { heading: "dℓ/dvalue" },
-        /// Score (Lagrange multiplier) statistic, χ² with one degree of freedom.
+        /// Score (Lagrange multiplier) statistic from the expected information, χ² with one degree of freedom.
         pub score_statistic: Option<f64> = figure {},
         /// p-value of the score statistic.
         pub p_value: Option<f64> = figure { heading: "p-value", unit: FigureUnit::Probability },
-        /// Expected change of the element if it were freed.
+        /// Expected change of the element if it were freed, to first order, as far as Σ stays positive semidefinite.
         pub expected_change: Option<f64> = figure { unit: FigureUnit::Element },
+        /// Likelihood ratio -2 log λ of a fit with only this element freed, for constraints that the score tests reject
+        /// at the 5 % level after Bonferroni correction; where a fit at the same dynamic parameters decides, a lower
+        /// bound.
+        #[serde(default)]
+        pub likelihood_ratio: Option<f64> = figure {},
+        /// p-value of the likelihood ratio.
+        #[serde(default)]
+        pub likelihood_ratio_p_value: Option<f64> = figure { unit: FigureUnit::Probability },
     }
 }

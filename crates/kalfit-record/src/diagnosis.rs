@@ -64,6 +64,7 @@ impl InnovationRecord {
         InnovationRecord {
             count: found.count,
             nis: finite(found.nis).filter(|_| found.count > 0),
+            whitened_nis: None,
             nis_p_value: found.p_value(p).and_then(finite),
             mean: found.mean.and_then(finite),
             whiteness: found.whiteness.filter(|w| w.statistic.is_finite() && w.p_value.is_finite()).map(whiteness),

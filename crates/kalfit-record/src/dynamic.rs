@@ -37,6 +37,11 @@ const ONE_SEARCH: &str = "no other maxima were searched for, because a fit by su
 /// Addition to the note on a value that is estimated as zero: how to get an upper limit.
 const LIMIT_HINT: &str = "; `--intervals profile` gives the upper limit";
 
+/// Beginning of the reason where ℓ has no maximum, because the data fit the model exactly.
+const NO_MAXIMUM: &str = "the log-likelihood has no maximum: it rises without bound as";
+/// Part of the reason where a search stopped at its limit of iterations.
+const PASS_LIMIT: &str = "reached its limit of iterations";
+
 /// Advice where ℓ has no maximum.
 const EXACT_DATA_ADVICE: &str = "noise-free data do not determine a noise level: give it a fixed value or a `lower` bound, or check whether the data were rounded, repeated or made without noise";
 
@@ -107,6 +112,16 @@ impl FitRecord {
         record
     }
 
+    /// Whether the fit failed because ℓ has no maximum: the data determine no noise level.
+    pub fn has_no_maximum(&self) -> bool {
+        !self.converged && self.reason.starts_with(NO_MAXIMUM)
+    }
+
+    /// Whether the fit failed because a search reached its limit of iterations.
+    pub fn is_at_limit(&self) -> bool {
+        !self.converged && self.reason.contains(PASS_LIMIT)
+    }
+
     /// Adds the results of several methods, including the method of this record, and a note on methods that disagree.
     pub fn add_methods(&mut self, methods: Vec<MethodRecord>) {
         let differs = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL_HEIGHT;
@@ -175,9 +190,7 @@ fn reason(fit: &DynamicFit) -> String {
     if !fit.unbounded.is_empty() {
         let named = joined(fit.unbounded.iter().cloned(), "and");
         let go = if fit.unbounded.len() == 1 { "goes to zero" } else { "go to zero together" };
-        return format!(
-            "the log-likelihood has no maximum: it rises without bound as {named} {go}, because the data fit the model exactly"
-        );
+        return format!("{NO_MAXIMUM} {named} {go}, because the data fit the model exactly");
     }
     let (far, what) = (fit.certificate, if n == 1 { "the dynamic parameter" } else { "the dynamic parameters" });
     match (fit.stop, fit.estimate.stop) {

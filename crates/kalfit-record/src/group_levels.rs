@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::figure::figures;
@@ -12,7 +12,7 @@ use crate::{
     UnidentifiedRecord, VectorRecord,
 };
 use kalfit_apply::predict::Initial;
-use kalfit_infer::{GroupPosterior, Inference};
+use kalfit_infer::{Estimand, GroupPosterior, Inference};
 use kalfit_model::{Grouping, Labels};
 use kalfit_model::{PhasedModel, Population};
 
@@ -59,6 +59,11 @@ figures! {
         /// absent without regressions.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub follows: Option<Vec<Vec<f64>>>,
+        /// Derivatives of `mean` with respect to the quantities of `estimates`, in their order, state by state; zero
+        /// for quantities that are no variance or covariance. Only of the innermost level, and absent where they were
+        /// not computed.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub by_estimates: Option<Vec<Vec<f64>>>,
         /// Standardised squared distance of the group from the population.
         pub distance: Option<f64> = figure { heading: "distance²" },
         /// Degrees of freedom of the distance: rank of the information from its tests.
@@ -87,6 +92,16 @@ impl LevelRecord {
     }
 }
 
+impl UnitRecord {
+    /// Derivatives of the mean with respect to each quantity; `None` where the record has none.
+    fn slopes(&self, quantities: &[Estimand], p: usize) -> Option<HashMap<Estimand, DVector<f64>>> {
+        let rows = self.by_estimates.as_ref()?;
+        let is_valid = rows.len() == p && rows.iter().all(|row| row.len() == quantities.len());
+        let of = |c: usize| DVector::from_iterator(p, rows.iter().map(|row| row[c]));
+        is_valid.then(|| quantities.iter().cloned().enumerate().map(|(c, quantity)| (quantity, of(c))).collect())
+    }
+}
+
 impl FitRecord {
     /// Distribution of a new test of each group of the innermost level, by the group's name after the names of the
     /// groups that contain it.
@@ -94,6 +109,7 @@ impl FitRecord {
         let Some(level) = model.levels.last() else { return HashMap::new() };
         let p = model.dimension();
         let own = self.groups.iter().filter(|unit| unit.level == level.name);
+        let quantities = self.knowledge(model).map(|knowledge| knowledge.quantities).unwrap_or_default();
         let valid = own.filter(|unit| unit.mean.len() == p && unit.covariance.size() == p);
         let law = |unit: &UnitRecord| {
             let covariance = DMatrix::from_fn(p, p, |i, k| unit.covariance[i][k]);
@@ -101,7 +117,8 @@ impl FitRecord {
             let valid = |rows: &&Vec<Vec<f64>>| rows.len() == p && rows.iter().all(|row| row.len() == width);
             let follows = unit.follows.as_ref().filter(valid);
             let follows = follows.map(|rows| DMatrix::from_fn(p, width, |i, c| rows[i][c]));
-            Initial::of_group(model, population, (unit.mean.clone(), &covariance), follows)
+            let initial = Initial::of_group(model, population, (unit.mean.clone(), &covariance), follows);
+            Initial { by_estimates: unit.slopes(&quantities, p), ..initial }
         };
         valid.map(|unit| (unit.id.clone(), law(unit))).collect()
     }
@@ -129,6 +146,7 @@ impl FitRecord {
             mean: found.mean.clone(),
             covariance: (&found.covariance).into(),
             follows: found.follows.as_ref().map(rows),
+            by_estimates: found.by_estimates.as_ref().map(rows),
             distance: (found.distance.degrees_of_freedom > 0).then_some(found.distance.squared),
             degrees_of_freedom: found.distance.degrees_of_freedom,
             p_value: found.distance.p_value,

@@ -16,6 +16,7 @@ mod exported;
 mod figure;
 mod group_levels;
 mod levels;
+mod misfit;
 mod model_check;
 mod number;
 mod own;
@@ -53,6 +54,7 @@ pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
 pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
 pub use group_levels::{LevelRecord, UnitRecord};
 pub use levels::{LevelCounts, level_notes};
+pub use misfit::{MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
 pub use number::plain;
 pub use own::OwnRecord;
@@ -119,6 +121,9 @@ pub struct FitRecord {
     /// Whether the model describes the data, judged from the figures of this record; null in records of older versions.
     #[serde(default)]
     pub model_check: Option<ModelCheckRecord>,
+    /// Misfit that tests have in common; null if innovations were not requested or the data were not at hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub misfit: Option<MisfitRecord>,
     /// How the fit was computed.
     pub solver: SolverRecord,
     /// How standard errors were computed: `observed`, `expected` or `sandwich`.

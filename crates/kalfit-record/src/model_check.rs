@@ -9,18 +9,22 @@ use std::cmp::Ordering;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::{FitRecord, InnovationRecord, TestRecord};
+use crate::{FitRecord, InnovationRecord, MisfitTermRecord, TestRecord};
 
+/// Share of correct models that all checks together reject. Each of the [`CHECKS`] has an equal part of it.
+const LEVEL: f64 = 0.05;
+/// Number of checks: the size of all innovations, the innovations of single tests, the distances of tests from the
+/// population or from their groups, single measurements, and the misfit that tests have in common.
+const CHECKS: f64 = 5.0;
 /// Significance level of each search over all tests, not of each test.
-pub const SEARCH_LEVEL: f64 = 0.05;
-/// Tail probability below which the mean square of all innovations is improbable: that of a normal number beyond three
-/// standard deviations.
-const OVERALL_TAIL: f64 = 0.001_35;
+pub const SEARCH_LEVEL: f64 = LEVEL / CHECKS;
+/// Tail probability below which the mean square of all innovations is improbable.
+const OVERALL_TAIL: f64 = 0.5 * SEARCH_LEVEL;
 /// Number of innovations per free quantity above which a mean square below one counts against the model.
 const INNOVATIONS_PER_FREE: usize = 10;
 
-/// What the innovations, the distances of the tests and the fits without each of them show about the model. Each check
-/// over all tests rejects a correct model in 5 % of ensembles.
+/// What the innovations, the distances of the tests and the fits without each of them show about the model. All checks
+/// together reject a correct model in 5 % of ensembles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelCheckRecord {
     /// `passed`, `doubtful` or `not checked`.
@@ -35,10 +39,19 @@ pub struct ModelCheckRecord {
 /// One piece of evidence against a model, or one limit of its result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FindingRecord {
-    /// For findings `innovations`, `mean_square` or `distance`; for remarks `influence`.
+    /// For findings `innovations`, `mean_square`, `distance`, `unlike`, `row`, `misfit` or
+    /// `normality`; for remarks `influence`.
     pub kind: String,
     /// A sentence without a full stop.
     pub text: String,
+}
+
+impl FitRecord {
+    /// Along what innovations correlate, in words: "in time", or "from row to row" where rows are known to have no times.
+    pub fn correlates(&self) -> &'static str {
+        let mut series = self.tests.iter().filter_map(|test| test.innovations?.series.as_deref()).peekable();
+        if series.peek().is_some() && series.all(|series| !series.timed) { "from row to row" } else { "in time" }
+    }
 }
 
 impl ModelCheckRecord {
@@ -54,6 +67,10 @@ impl ModelCheckRecord {
             ("mean_square", mean_square(record)),
             ("innovations", innovations(record)),
             ("distance", distances(record)),
+            ("unlike", unlike(record)),
+            ("row", wrong_rows(record)),
+            ("misfit", misfit(record)),
+            ("normality", normality(record)),
         ];
         let one = |(kind, text): (&str, Option<String>)| Some(FindingRecord { kind: kind.to_owned(), text: text? });
         let findings: Vec<FindingRecord> = found.into_iter().filter_map(one).collect();
@@ -69,6 +86,20 @@ impl ModelCheckRecord {
 }
 
 impl FitRecord {
+    /// (number n of all innovations, sum of their squares, χ²_n when the model is right). Innovations of tests of one
+    /// group share the effect of the group, so that with levels the sum is that under the law of the whole model.
+    pub fn overall_innovations(&self) -> (usize, f64) {
+        match &self.misfit {
+            Some(misfit) if !self.levels.is_empty() => {
+                let count = misfit.innovations;
+                (count, misfit.mean_square.map_or(0.0, |mean| mean * count as f64))
+            }
+            _ => innovations_of(self).fold((0, 0.0), |(count, nis): (usize, f64), (_, figures)| {
+                (count.saturating_add(figures.count), nis + figures.nis.unwrap_or(0.0))
+            }),
+        }
+    }
+
     /// Checks the model by the present figures of the record.
     pub fn add_model_check(&mut self) {
         self.model_check = Some(ModelCheckRecord::of(self));
@@ -120,8 +151,7 @@ fn innovation_p_values(record: &FitRecord) -> impl Iterator<Item = (f64, &str, b
 }
 
 fn mean_square(record: &FitRecord) -> Option<String> {
-    let count = innovations_of(record).fold(0, |all: usize, (_, figures)| all.saturating_add(figures.count));
-    let nis: f64 = innovations_of(record).filter_map(|(_, figures)| figures.nis).sum();
+    let (count, nis) = record.overall_innovations();
     match overall_size(count, nis, record.free_parameters) {
         Ordering::Greater => Some("the innovations of all tests together are larger than the model allows".to_owned()),
         Ordering::Less => Some("the innovations of all tests together are smaller than the model allows".to_owned()),
@@ -140,15 +170,44 @@ fn innovations(record: &FitRecord) -> Option<String> {
     tests.dedup();
     let white = improbable.iter().filter(|one| one.2).count();
     let how = match (improbable.len() - white, white) {
-        (_, 0) => "size",
-        (0, _) => "correlation in time",
-        _ => "size or correlation in time",
+        (_, 0) => "size".to_owned(),
+        (0, _) => format!("correlation {}", record.correlates()),
+        _ => format!("size or correlation {}", record.correlates()),
     };
     match tests[..] {
         [] => None,
         [only] => Some(format!("the innovations of test {only} are improbable ({how})")),
         _ => Some(format!("the innovations of {} of {} tests are improbable ({how})", tests.len(), record.data.tests)),
     }
+}
+
+/// Tests that are unlike the other tests of their groups.
+fn unlike(record: &FitRecord) -> Option<String> {
+    let all = &record.misfit.as_ref()?.unlike;
+    let found: Vec<&str> =
+        all.iter().filter(|one| one.adjusted_p_value < SEARCH_LEVEL).map(|one| one.test.as_str()).collect();
+    match found[..] {
+        [] => None,
+        [only] => Some(format!("test {only} is unlike the other tests of its groups")),
+        _ => Some(format!("{} tests are unlike the other tests of their groups", found.len())),
+    }
+}
+
+/// Measurements that contradict the others of their test.
+fn wrong_rows(record: &FitRecord) -> Option<String> {
+    let all = &record.misfit.as_ref()?.wrong_rows;
+    let found = || all.iter().filter(|one| one.adjusted_p_value < SEARCH_LEVEL);
+    let first = found().next()?;
+    let others = match found().count() - 1 {
+        0 => String::new(),
+        1 => ", and one more row is as strange".to_owned(),
+        more => format!(", and {more} more rows are as strange"),
+    };
+    let (measurement, row, test) = (&first.measurement, first.row, &first.test);
+    let size = (first.deviation / first.std_dev).abs();
+    Some(format!(
+        "`{measurement}` in row {row} (test {test}) is {size:.1} standard deviations from what the other rows of the test say{others}"
+    ))
 }
 
 fn distances(record: &FitRecord) -> Option<String> {
@@ -160,6 +219,35 @@ fn distances(record: &FitRecord) -> Option<String> {
         [only] => Some(format!("test {only} is an outlier")),
         _ => Some(format!("{} tests are outliers", outlying.len())),
     }
+}
+
+/// Whether a p-value of the misfit in common is below its part of the level, among all of them.
+fn is_common(record: &FitRecord, p_value: f64) -> bool {
+    let all = record.misfit.as_ref().map_or(0, |misfit| misfit.p_values().count());
+    p_value * all as f64 <= SEARCH_LEVEL
+}
+
+fn misfit(record: &FitRecord) -> Option<String> {
+    let terms = &record.misfit.as_ref()?.terms;
+    let found: Vec<&MisfitTermRecord> = terms.iter().filter(|term| is_common(record, term.p_value)).collect();
+    let first = found.first()?;
+    let several = record.phases.len() > 1;
+    let measurement = |term: &MisfitTermRecord| match several {
+        true => format!("`{}` of phase `{}`", term.measurement, term.phase),
+        false => format!("`{}`", term.measurement),
+    };
+    let others = match found.len() - 1 {
+        0 => String::new(),
+        1 => ", and one more such term".to_owned(),
+        more => format!(", and {more} more such terms"),
+    };
+    Some(format!("the tests deviate in common: {} of {}{others}", first.words(), measurement(first)))
+}
+
+fn normality(record: &FitRecord) -> Option<String> {
+    let normality = record.misfit.as_ref()?.normality.as_ref()?;
+    let is_found = is_common(record, normality.p_value);
+    is_found.then(|| "the innovations are not normal".to_owned())
 }
 
 fn influence(record: &FitRecord) -> Option<String> {

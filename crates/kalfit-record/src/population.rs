@@ -4,6 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::cut::BlockCut;
 use crate::{FitRecord, LevelRecord, PhaseRecord};
+use kalfit_algebra::symmetric;
 use kalfit_model::{PhasedModel, Population, PopulationError};
 
 /// Why a record has no population for a model.
@@ -75,10 +76,14 @@ impl FitRecord {
             add(&mut whole, cut, &self.phases[place], &of)?;
         }
         self.add_level_covariances(model, &mut whole)?;
+        self.allow_for_rounding(model, &mut whole);
         whole.check(model)?;
         Ok(whole)
     }
 }
+
+/// Rounding of an estimated variance, relative to the squared size of the state.
+const ROUNDING: f64 = f64::EPSILON;
 
 impl FitRecord {
     /// Adds the covariances of all levels of groups.
@@ -105,6 +110,45 @@ impl FitRecord {
             }
         }
         Ok(())
+    }
+}
+
+impl FitRecord {
+    /// Adds rounding to the variances of a Σ that is not positive semidefinite. A variance that was estimated as zero is
+    /// written as a number of the size of rounding, and its covariances have rounding of their own, so that correlations
+    /// of such a state are arbitrary; the rounding of a variance is relative to the squared size of its state. A
+    /// Σ that is wrong by more than rounding stays wrong.
+    fn allow_for_rounding(&self, model: &PhasedModel, whole: &mut Population) {
+        let sizes = self.squared_sizes(model, &whole.covariance);
+        for BlockCut { elements, .. } in BlockCut::blocks(model) {
+            let (start, p) = (elements.start, elements.len());
+            if symmetric::is_semidefinite(&whole.covariance.view((start, start), (p, p)).into_owned()) {
+                continue;
+            }
+            for i in elements {
+                if whole.covariance[(i, i)] > 0.0 {
+                    whole.covariance[(i, i)] += ROUNDING * sizes[i % sizes.len()];
+                }
+            }
+        }
+    }
+
+    /// Squared size of each estimated state: its largest variance over the levels, or the squared standard error of its
+    /// mean if that is larger.
+    fn squared_sizes(&self, model: &PhasedModel, covariance: &DMatrix<f64>) -> Vec<f64> {
+        let p = model.dimension();
+        let mut sizes: Vec<f64> = (0..p)
+            .map(|i| (i..covariance.nrows()).step_by(p).map(|k| covariance[(k, k)]).fold(0.0, f64::max))
+            .collect();
+        for cut in BlockCut::all(model) {
+            let Some(phase) = self.phases.iter().find(|phase| phase.name == cut.phase.name) else { continue };
+            for (i, name) in cut.elements.clone().zip(cut.states()) {
+                let place = phase.states.iter().position(|own| *own == name);
+                let error = place.and_then(|place| *phase.mean.std_error.get(place)?);
+                sizes[i] = sizes[i].max(error.unwrap_or(0.0).powi(2));
+            }
+        }
+        sizes
     }
 }
 

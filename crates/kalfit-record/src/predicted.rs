@@ -33,6 +33,10 @@ pub struct PredictedRecord {
     /// Whether limits of means are by profile likelihood.
     #[serde(default)]
     pub profile: bool,
+    /// Whether errors of the means of known units contain those of the estimated covariances; null for new units, and
+    /// where the parameters were given.
+    #[serde(default)]
+    pub covariance_errors: Option<bool>,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
     /// Values at the last row of each of the first tests.
@@ -111,6 +115,8 @@ pub struct PredictedSource {
     pub estimation: bool,
     /// Whether limits of means are by profile likelihood.
     pub profile: bool,
+    /// Whether errors of the means of known units contain those of the estimated covariances; `None` for new units.
+    pub covariance_errors: Option<bool>,
 }
 
 /// Largest number of tests whose last rows are included.
@@ -135,6 +141,7 @@ impl PredictedRecord {
             fitted: source.fitted,
             estimation: source.estimation,
             profile: source.profile,
+            covariance_errors: source.covariance_errors,
             changed: source.changed,
             last: Vec::new(),
             pairs: Vec::new(),

@@ -114,6 +114,10 @@ figures! {
         pub count: usize = figure { column: None, heading: "innovations" },
         /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
         pub nis: Option<f64> = figure {},
+        /// Σ e²/S of innovations made independent of those of other tests of its groups, by the law of the whole model;
+        /// null without levels.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub whitened_nis: Option<f64> = figure { column: None },
         /// Two-sided p-value of `nis`: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less
         /// the number of estimated states, which the estimate may have absorbed.
         pub nis_p_value: Option<f64> = figure { heading: "p-value", unit: FigureUnit::Probability },
@@ -178,7 +182,8 @@ figures! {
     /// The fit without one test.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     pub struct DeletionRecord {
-        /// log p of the test's measurements at the fit without it: its predictive density.
+        /// log p of the test's measurements at the fit without it, with parameters from all tests: its predictive
+        /// density.
         pub log_density: f64 = figure { column: Some("log_density_without"), unit: FigureUnit::LogLikelihood },
         /// Standardised squared distance from the population estimated from the other tests.
         pub distance: Option<f64> = figure { column: Some("distance_without") },

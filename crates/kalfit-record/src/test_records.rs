@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::posteriors::PosteriorColumns;
 use crate::test::TestFigures;
 use crate::{DeletionRecord, FitRecord, InnovationRecord, SeriesKeeper, TestRecord, TestRow};
-use kalfit_model::{SparseColumn, Texts};
+use kalfit_model::{SparseColumn, TestId, Texts};
 
 /// Results of each test. Results of one kind are stored together for all tests, so that the results of a million tests
 /// are in a few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
@@ -138,6 +138,21 @@ impl FitRecord {
     /// Sets the innovations of all tests; a test without innovations in `found` then has no innovations.
     pub fn set_innovations(&mut self, found: InnovationRecords) {
         self.tests.innovations = found;
+    }
+
+    /// Sets the square sums of tests' innovations under the law of the whole model, given with ids and numbers of
+    /// innovations; a test with another number of innovations gets none.
+    pub(super) fn set_whitened(&mut self, whitened: &[(TestId, usize, f64)]) {
+        let numbers: Vec<Option<usize>> = {
+            let by_id = self.tests.by_id();
+            whitened.iter().map(|(id, ..)| by_id.get(&**id).copied()).collect()
+        };
+        for ((_, count, nis), number) in whitened.iter().zip(numbers) {
+            let own = number.and_then(|number| self.tests.innovations.0.get_mut(number));
+            if let Some(own) = own.filter(|own| own.count == *count) {
+                own.whitened_nis = Some(*nis).filter(|nis| nis.is_finite());
+            }
+        }
     }
 
     /// Adds the retained series to the tests that have innovations.

@@ -92,12 +92,19 @@ fn predictive(record: &ComparedRecord, names: &[String], page: &PageLayout<'_>) 
     let or = |x: Option<f64>, digits: usize| x.map_or("-".to_owned(), |x| plain(x, digits));
     let difference = |fit: &ComparedFit| fit.predictive_difference.map(|own| own.difference);
     let error = |fit: &ComparedFit| fit.predictive_difference.and_then(|own| own.std_error);
-    page.table(&[
+    let mut columns = vec![
         TextColumn::new("fit", ColumnSide::Left, names.to_vec()),
         column(record, "log density", &|fit| or(fit.log_predictive_density, 7)),
-        column(record, "below the best", &|fit| or(difference(fit), 4)),
-        column(record, "std. error", &|fit| or(error(fit), 2)),
-    ])
+    ];
+    if is_ranked_by_predictions(record) {
+        columns.push(column(record, "below the best", &|fit| or(difference(fit), 4)));
+        columns.push(column(record, "std. error", &|fit| or(error(fit), 2)));
+    }
+    page.table(&columns)
+}
+
+fn is_ranked_by_predictions(record: &ComparedRecord) -> bool {
+    record.fits.iter().any(|fit| fit.predictive_difference.is_some())
 }
 
 /// What `kalfit validate` found.
@@ -211,12 +218,7 @@ fn reading(record: &ComparedRecord) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if record.fits.iter().any(|fit| fit.log_predictive_density.is_some()) {
-        notes.push(
-            "Tests left out: the sum over all tests of the log density of each, given the fit to the others."
-                .to_owned(),
-        );
-    }
+    notes.extend(reading_of_tests_left_out(record));
     if !record.nested.is_empty() {
         notes.push(
             "Nested fits are listed where the results files show that they are. `kalfit test` also handles boundaries, and has a \
@@ -225,4 +227,27 @@ fn reading(record: &ComparedRecord) -> Vec<String> {
         );
     }
     notes
+}
+
+/// What the densities of tests left out are given.
+fn reading_of_tests_left_out(record: &ComparedRecord) -> Option<String> {
+    let shown: Vec<&ComparedFit> = record.fits.iter().filter(|fit| fit.log_predictive_density.is_some()).collect();
+    if shown.is_empty() {
+        return None;
+    }
+    let start = "Tests left out: the sum over all tests of the log density of each, given";
+    if !shown.iter().any(|fit| fit.parameters_held) {
+        return Some(format!("{start} the fit to the others."));
+    }
+    let end = match is_ranked_by_predictions(record) {
+        true => "Here all fits have the same free parameters.",
+        false => {
+            "Fits that differ in their free parameters therefore do not compare by these densities: AIC weighs the \
+             parameters, and `kalfit validate` refits them without each fold."
+        }
+    };
+    Some(format!(
+        "{start} the mean and covariance of the fit to the others. Parameters have their values from all tests, the \
+         one left out included, which flatters every free parameter. {end}"
+    ))
 }

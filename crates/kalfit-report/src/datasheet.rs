@@ -1,6 +1,7 @@
 //! What `kalfit datasheet` made.
 
 use kalfit::record::{CurveRecord, DatasheetRecord, EntryRecord, Interval};
+use kalfit::time_unit::nanoseconds;
 
 use crate::TextStyle;
 use crate::number::plain;
@@ -73,9 +74,15 @@ fn points(curve: &CurveRecord, time: Option<&str>) -> Vec<TextColumn> {
         TextColumn::new(heading, side, curve.points.iter().map(cell).collect())
     };
     let figure = |x: Option<f64>| x.map_or(String::new(), |x| plain(x, DIGITS));
+    let second = f64::from(1_000_000_000);
+    // parts of a second are shown in seconds
+    let (factor, time) = match time.and_then(nanoseconds) {
+        Some(part) if (part as f64) < second => (part as f64 / second, Some("s")),
+        _ => (1.0, time),
+    };
     let heading = time.map_or("time".to_owned(), |time| format!("time, {}", clean(time)));
     vec![
-        of(&heading, ColumnSide::Right, &|point| plain(point.time, DIGITS)),
+        of(&heading, ColumnSide::Right, &|point| plain(factor * point.time, DIGITS)),
         of("values", ColumnSide::Right, &|point| point.values.to_string()),
         of("model", ColumnSide::Right, &|point| figure(point.model)),
         of("records", ColumnSide::Right, &|point| figure(point.data)),

@@ -1,6 +1,6 @@
 //! Headings, paragraphs, lists, tables: as text, or as parts of an HTML page. What is said is written once.
 
-use maud::{PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use crate::TextStyle;
 use crate::table::{self, TextColumn};
@@ -63,7 +63,7 @@ impl<'a> PageLayout<'a> {
     pub(crate) fn paragraph(&self, text: &str) -> String {
         match self.medium {
             PageMedium::Text => wrap(text, self.width(), 0) + "\n",
-            PageMedium::Html => html! { p { (text) } }.into_string(),
+            PageMedium::Html => html! { p { (coded(text)) } }.into_string(),
         }
     }
 
@@ -72,8 +72,8 @@ impl<'a> PageLayout<'a> {
         match (self.medium, sentences) {
             (PageMedium::Text, _) => sentences.iter().map(|s| indent(&wrap(s, self.width() - 2, 2))).collect(),
             (PageMedium::Html, []) => String::new(),
-            (PageMedium::Html, [only]) => html! { p { (only) } }.into_string(),
-            (PageMedium::Html, several) => html! { ul { @for one in several { li { (one) } } } }.into_string(),
+            (PageMedium::Html, [only]) => html! { p { (coded(only)) } }.into_string(),
+            (PageMedium::Html, several) => html! { ul { @for one in several { li { (coded(one)) } } } }.into_string(),
         }
     }
 
@@ -93,6 +93,17 @@ impl<'a> PageLayout<'a> {
                 let all: Vec<TextColumn> = std::iter::once(first).chain(others).cloned().collect();
                 table::html(&all, false) // a triangle
             }
+        }
+    }
+}
+
+/// Text as HTML, with what stands between backticks as code; a backtick without a second one stays.
+fn coded(text: &str) -> Markup {
+    let parts: Vec<&str> = text.split('`').collect();
+    let is_code = |k: usize| k % 2 == 1 && k + 1 < parts.len();
+    html! {
+        @for (k, part) in parts.iter().enumerate() {
+            @if is_code(k) { code { (part) } } @else if k % 2 == 1 { "`" (part) } @else { (part) }
         }
     }
 }

@@ -112,6 +112,7 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
                 .to_owned(),
         );
     }
+    notes.extend(record.covariance_errors.filter(|_| record.estimation).map(of_known_units));
     notes.push(match (record.estimation, record.fitted) {
         (false, _) => format!(
             "{} does not contain the covariance of its estimates (there are more than 200 of them, or an older version wrote it), so \
@@ -129,4 +130,20 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
         }
     });
     notes
+}
+
+/// What the error of the mean of a known unit contains.
+fn of_known_units(covariance_errors: bool) -> String {
+    let start = "The estimated mean of a known unit is its posterior mean.";
+    match covariance_errors {
+        true => format!(
+            "{start} Its error is that of the posterior together with those of the population's mean and covariances, at the estimated \
+             parameters. It is unknown how far the unit is from the others where the variance between units was estimated as zero: \
+             limits are then unknown."
+        ),
+        false => format!(
+            "{start} Its error is that of the posterior together with that of the population's mean. The errors of the covariances are \
+             left out, as the results file does not say how units follow them: with few units the limits are too narrow."
+        ),
+    }
 }

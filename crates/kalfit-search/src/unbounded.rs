@@ -30,6 +30,8 @@ const MIN_RISE: f64 = 1.0;
 const EQUAL: f64 = 0.02;
 /// Number of levels above which levels are not examined one by one.
 const MAX_SINGLE: usize = 8;
+/// Number of further levels above which none of them is examined.
+const MAX_FURTHER: usize = 64;
 
 /// Index of an end from which ℓ rises without bound, and slots of the levels that go to zero; candidates are the best
 /// end and the highest uncertified end above the best one.
@@ -38,7 +40,7 @@ pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: 
     let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
     let highest = higher.max_by(|&a, &b| value(a).total_cmp(&value(b)));
     let mut places = std::iter::once(best).chain(highest).filter(|&at| is_open(objective, &ends[at]));
-    places.find_map(|at| Some((at, levels(objective, &ends[at])?)))
+    places.find_map(|at| Some((at, with_further(objective, &ends[at], levels(objective, &ends[at])?))))
 }
 
 /// Whether an end is uncertified, or has a level that a search stopped on the way to zero or that is below the size at
@@ -85,6 +87,23 @@ fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usiz
         }
     }
     Some(found)
+}
+
+/// A set of levels that raise ℓ without bound, and each further level that does so by itself: whoever gives only the
+/// levels of the set a floor would meet the others next.
+fn with_further(objective: &ProfileLikelihood<'_>, end: &SearchEnd, mut set: Vec<usize>) -> Vec<usize> {
+    let Some(depth) = depth(objective) else { return set };
+    let (mut values, units) = (end.iterate.values.clone(), objective.units());
+    let all: Vec<usize> = (0..values.len()).filter(|&s| can_vanish(&objective.coordinates[s])).collect();
+    for &s in &all {
+        values[s] = values[s].max(units[s]);
+    }
+    let further: Vec<usize> = all.into_iter().filter(|s| !set.contains(s)).collect();
+    if further.len() <= MAX_FURTHER {
+        set.extend(further.into_iter().filter(|&s| rises(objective, &values, &[s], depth)));
+        set.sort_unstable();
+    }
+    set
 }
 
 /// Whether a value is a noise level without a lower bound.

@@ -58,7 +58,9 @@ pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) 
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;
     }
-    if let Some(levels) = section.take("levels").filter(|_| context.reads.levels) {
+    let levels = section.take("levels");
+    context.grouped = levels.is_some(); // a reader that needs no columns of levels still meets the keys that go with them
+    if let Some(levels) = levels.filter(|_| context.reads.levels) {
         let columns = levels::columns(context, &levels, &data.layout.test)?;
         data.layout.levels = columns.names().map(str::to_owned).collect();
         data.levels = Some(columns);

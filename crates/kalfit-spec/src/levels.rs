@@ -58,7 +58,6 @@ pub(crate) fn columns(context: &mut NameContext<'_>, field: &TomlField<'_>, test
         let index = context.text_column(name, span.clone(), &place);
         all.push(GroupColumn { name: name.to_owned(), index, span });
     }
-    context.grouped = true;
     Ok(GroupColumns { all, key: field.key_span.clone() })
 }
 

@@ -1,6 +1,6 @@
 //! What a model says that may not be meant.
 
-use kalfit::model::{Expression, Linear, Model, Motion};
+use kalfit::model::{Expression, Function, Linear, Model, Motion, Operator};
 
 use crate::spec::Spec;
 
@@ -45,12 +45,38 @@ fn in_equation(model: &Model, equation: &Linear, place: &str) -> Vec<String> {
     equation.terms.iter().filter_map(asks).collect()
 }
 
-/// The coefficient holds a column, and nothing that may be 1e-6.
+/// So much of a state in millionths acts, at most, where its factor turns them into parts, whatever the units of the column and of
+/// what is measured: 1e-6 times 1000 or 3600 is below it.
+const MOST: f64 = 1e-2;
+
+/// The coefficient multiplies a column, by a factor that cannot be one of millionths.
 fn acts_whole(coefficient: &Expression) -> bool {
-    let scales = |part: &Expression| match part {
-        Expression::Number(x) => (1e-7..=1e-5).contains(&x.abs()) || (1e5..=1e7).contains(&x.abs()),
-        Expression::Parameter(_) => true,
-        _ => false,
-    };
-    coefficient.any(&mut |part| matches!(part, Expression::Column(_))) && !coefficient.any(&mut |part| scales(part))
+    let has_column = coefficient.any(&mut |part| matches!(part, Expression::Column(_)));
+    has_column && size(coefficient).is_some_and(|size| size > MOST)
+}
+
+/// The product of the numbers in a coefficient, in which columns count as 1; the largest of those that are summed. `None` where it
+/// hangs on a parameter, or on more than numbers tell.
+fn size(coefficient: &Expression) -> Option<f64> {
+    let has_column = |part: &Expression| part.any(&mut |one| matches!(one, Expression::Column(_)));
+    Some(match coefficient {
+        Expression::Number(x) => x.abs(),
+        Expression::Column(_) | Expression::Step | Expression::TextEquals { .. } | Expression::Not(_) => 1.0,
+        Expression::Negate(a) => size(a)?,
+        Expression::Binary(Operator::Multiply, a, b) => size(a)? * size(b)?,
+        Expression::Binary(Operator::Divide, a, b) => size(a)? / size(b)?,
+        Expression::Binary(Operator::Power, a, b) => size(a)?.powf(b.as_number()?),
+        // of `x - 20` the column tells the size
+        Expression::Binary(Operator::Add | Operator::Subtract, a, b) => {
+            let terms = [a, b].into_iter().filter(|term| has_column(term) || !has_column(coefficient));
+            terms.map(|term| size(term)).collect::<Option<Vec<f64>>>()?.into_iter().fold(0.0, f64::max)
+        }
+        Expression::If(_, a, b) => size(a)?.max(size(b)?),
+        Expression::Call(Function::Abs | Function::Min | Function::Max, terms) => {
+            terms.iter().map(size).collect::<Option<Vec<f64>>>()?.into_iter().fold(0.0, f64::max)
+        }
+        Expression::Call(Function::Sqrt, terms) => size(terms.first()?)?.sqrt(),
+        Expression::Call(..) | Expression::Binary(..) => 1.0,
+        Expression::Parameter(_) => return None,
+    })
 }

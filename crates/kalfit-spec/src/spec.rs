@@ -5,6 +5,7 @@ use std::ops::Range;
 use kalfit::{Layout, PhasedModel};
 
 use crate::places::SpecPlaces;
+use crate::suggest::nearest;
 
 /// A model file that was read.
 #[derive(Debug, Clone)]
@@ -31,6 +32,16 @@ impl Spec {
     /// Bytes of the file where `[data]` names a level of groups.
     pub fn level_span(&self, level: &str) -> Option<Range<usize>> {
         self.places.levels.get(level).cloned()
+    }
+
+    /// "state `bias`", or another name of the model that was perhaps meant by this one.
+    pub fn nearest_name(&self, name: &str) -> Option<String> {
+        let phases = || self.model.phases.iter().map(|phase| &phase.model);
+        let states: Vec<&str> = phases().flat_map(|model| &model.states).map(|state| state.name.as_str()).collect();
+        let parameters: Vec<&str> = self.model.shared().parameters.iter().map(|one| one.name.as_str()).collect();
+        let near = nearest(name, states.iter().chain(&parameters).copied())?;
+        let kind = if states.contains(&near) { "state" } else { "parameter" };
+        Some(format!("{kind} `{near}`"))
     }
 
     /// Bytes of the file where a parameter is declared.

@@ -16,6 +16,7 @@ pub mod datasheet;
 mod face;
 pub mod guide;
 pub mod shards;
+pub mod time_unit;
 pub mod validate;
 
 pub use kalfit_apply::{allan, apply, export, plan, predict};

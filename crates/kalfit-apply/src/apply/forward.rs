@@ -46,8 +46,16 @@ fn states_of_test(
     states.into_iter().collect()
 }
 
+/// Noise of an exact measurement h'Ψσ in the law of σ, as a fraction of the standard deviation that h'Ψσ had before the
+/// measurement.
+const EXACT_NOISE: f64 = 1e-12;
+/// Fraction of the standard deviation at the start of the phase down to which h'Ψσ counts as known.
+const KNOWN_FRACTION: f64 = 1e-8;
+
 /// Mean x̂ + Ψσ̂ and covariance P + ΨVΨ' of the states of each step, before or after the measurements of the step (by
-/// `kind`). Every measurement updates `law`, the law N(σ̂, V) of σ.
+/// `kind`). Every measurement updates `law`, the law N(σ̂, V) of σ. Exact measurements, which the filter at a given σ
+/// leaves out, update the law after the other measurements of the step: as h'P = 0, these change neither the innovation
+/// nor h'Ψ.
 fn filtered(
     kind: StateKind,
     gains: &Gains,
@@ -61,6 +69,7 @@ fn filtered(
     let backward_input =
         BackwardInput::of((work, gains), (&moments_at_zero, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
+    let first = law.posterior().1;
     backward_input.filtered_states(backward, &work.pass.e, |step, measured, seen| {
         if measured {
             for row in step.rows.clone() {
@@ -69,12 +78,35 @@ fn filtered(
                     law.take(work.pass.e[row], sensitivity, weight);
                 }
             }
+            for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+                if work.design.noise[line] == 0.0 && gains.row(row).0 == 0.0 {
+                    let sensitivity = seen.sensitivity().transpose() * dense(work.design.terms(line), seen.x.len());
+                    take_exact(law, work.pass.e[row], &sensitivity, &first);
+                }
+            }
         }
         if measured == (kind == StateKind::Filtered) {
             states.push(known(seen, &law.posterior()));
         }
     });
     states
+}
+
+/// h as a vector of length n.
+fn dense((states, h): (&[u32], &[f64]), n: usize) -> DVector<f64> {
+    let mut form = DVector::zeros(n);
+    states.iter().zip(h).for_each(|(&state, &h)| form[state as usize] = h);
+    form
+}
+
+/// Takes e = t'σ into the law of σ, unless t'σ is known already; `first`: root of the covariance of σ at the start of
+/// the phase.
+fn take_exact(law: &mut EnteringLaw, e: f64, t: &DVector<f64>, first: &DMatrix<f64>) {
+    let deviation = law.posterior().1.tr_mul(t).norm();
+    let at_start: f64 = first.row_iter().zip(t.iter()).map(|(row, t)| t.abs() * row.norm()).sum();
+    if deviation > KNOWN_FRACTION * at_start {
+        law.take(e, t.as_slice(), (EXACT_NOISE * deviation).powi(-2));
+    }
 }
 
 fn known(seen: FilterSnapshot<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> StepMoments {

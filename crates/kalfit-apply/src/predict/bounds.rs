@@ -167,7 +167,7 @@ impl Bounds {
         if let MeanLimits::Profile(found) = value.limits {
             return found;
         }
-        let variance_estimate = VarianceEstimate::of(value)?;
+        let variance_estimate = VarianceEstimate::of(value).filter(|_| !value.is_drawn_to_zero)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
         let quantile = match variance_estimate.degrees_of_mean < KNOWN_DEGREES {
             true => StudentsT::new(0.0, 1.0, variance_estimate.degrees_of_mean).ok()?.inverse_cdf(upper),
@@ -180,7 +180,8 @@ impl Bounds {
     /// Limits that contain p of all tests with confidence γ; `None` where the limits are not known, or where a variance
     /// that affects the limits was estimated as zero.
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
-        let variance_estimate = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
+        let variance_estimate =
+            VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero && !value.is_drawn_to_zero)?;
         if variance_estimate.variance == 0.0 {
             return self.of_mean(&Predicted { limits: MeanLimits::Error, ..value.clone() });
         }
@@ -308,6 +309,7 @@ mod tests {
             population: ml,
             process: 0.0,
             hangs_on_zero: false,
+            is_drawn_to_zero: false,
             estimation: Some(estimation),
             limits: MeanLimits::Error,
         }

@@ -24,15 +24,15 @@ pub use bounds::{Bounds, Limits, Sides};
 pub use error::PredictError;
 pub use pair::{Ellipse, Pair};
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::predict::steps::ValueSteps;
 use crate::predict::trajectory::{Propagator, Trajectory};
-use kalfit_infer::{Knowledge, MeanCombination};
+use kalfit_infer::{Estimand, Knowledge, MeanCombination};
 use kalfit_model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
 use kalfit_model::{Evidence, PhasedTest};
 
@@ -109,6 +109,9 @@ pub struct Predicted {
     /// Whether a variance or noise level that affects the value was estimated as zero, so that no standard error shows
     /// how large the variance may be.
     pub hangs_on_zero: bool,
+    /// Whether the value is of a known group, and a variance between groups that affects it was estimated as zero: the
+    /// group then has the mean of all groups, and no standard error shows how far its own may be from it.
+    pub is_drawn_to_zero: bool,
     /// Errors of the estimates; `None` where the value depends on a quantity that the data do not determine.
     pub estimation: Option<Estimation>,
     /// Source of the limits of the mean.
@@ -170,6 +173,9 @@ pub struct Initial {
     /// Derivative of `mean` with respect to the regression coefficients; `None` where `mean` does not depend on the
     /// coefficients.
     pub by_coefficients: Option<DMatrix<f64>>,
+    /// Derivatives of `mean` with respect to estimates other than means and coefficients, for a known group, whose mean
+    /// is drawn to μ the more the less groups vary. `None` where the derivatives are not known.
+    pub by_estimates: Option<HashMap<Estimand, DVector<f64>>>,
     /// Indices of the blocks of Σ, one per level, that `covariance` is the sum of.
     pub levels: Range<usize>,
 }
@@ -179,7 +185,7 @@ impl Initial {
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
         let Population { mean, covariance, .. } = population.together(model.dimension());
         let levels = 0..model.levels.len() + 1;
-        Initial { mean, covariance, left: None, shrinkage: None, by_coefficients: None, levels }
+        Initial { mean, covariance, left: None, shrinkage: None, by_coefficients: None, by_estimates: None, levels }
     }
 
     /// Initial state of a new test of a known group of the innermost level. `mean`, `covariance`: posterior E[m | z], V
@@ -206,6 +212,7 @@ impl Initial {
             left: Some(covariance.clone()),
             shrinkage: by_mean.or(shrinkage),
             by_coefficients: follows.map(|follows| follows.columns(p, follows.ncols() - p).into_owned()),
+            by_estimates: None,
             levels: 0..1,
         }
     }

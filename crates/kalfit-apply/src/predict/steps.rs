@@ -77,6 +77,19 @@ impl ValueSteps {
         knowledge.at_zero.iter().any(is_seen) || self.probes.iter().any(moves)
     }
 
+    /// Whether a variance between groups that affects a value of a known group was estimated as zero.
+    pub(super) fn is_drawn_to_zero(knowledge: &Knowledge, initial: &Initial, value: &PredictedValue) -> bool {
+        let p = initial.mean.len();
+        let own = value.sensitivity.rows(0, p);
+        let is_seen = |known: &Estimand| match *known {
+            Estimand::Population(Estimated::Covariance(i, _)) => {
+                i >= p && own[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax()
+            }
+            _ => false,
+        };
+        initial.left.is_some() && knowledge.at_zero.iter().any(is_seen)
+    }
+
     pub(super) fn moved(&self) -> impl Iterator<Item = &Alpha> {
         self.moved.iter()
     }
@@ -156,6 +169,8 @@ impl<'a> Slopes<'a> {
     /// with index `at`.
     fn by(&self, at: usize, estimand: &Estimand) -> [f64; 3] {
         let p = self.own.len();
+        let known = self.initial.by_estimates.as_ref().and_then(|by| by.get(estimand));
+        let along_group = known.map_or(0.0, |by| by.dot(&self.own));
         match *estimand {
             Estimand::Population(Estimated::Mean(i)) => [self.by_mean.get(i).copied().unwrap_or(0.0), 0.0, 0.0],
             Estimand::Population(Estimated::Coefficient(c)) => {
@@ -164,15 +179,16 @@ impl<'a> Slopes<'a> {
             }
             Estimand::Population(Estimated::Covariance(i, j)) if self.initial.levels.contains(&(i / p)) => {
                 let both = if i == j { 1.0 } else { 2.0 };
-                [0.0, both * self.own[i % p] * self.own[j % p], 0.0]
+                [along_group, both * self.own[i % p] * self.own[j % p], 0.0]
             }
-            Estimand::Population(_) => [0.0; 3],
+            Estimand::Population(Estimated::Covariance(..)) => [along_group, 0.0, 0.0],
+            Estimand::Population(Estimated::Value(_)) => [0.0; 3],
             Estimand::Parameter { .. } => {
-                let Some((place, width)) = self.steps.side_indices[at] else { return [0.0; 3] };
+                let Some((place, width)) = self.steps.side_indices[at] else { return [along_group, 0.0, 0.0] };
                 let [below, above] = [self.sides[place], self.sides[place + 1]];
                 let slope = |of: &dyn Fn(&PredictedValue) -> f64| (of(above) - of(below)) / width;
                 let population = |side: &PredictedValue| side.population(&self.initial.covariance);
-                [slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
+                [along_group + slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
             }
         }
     }

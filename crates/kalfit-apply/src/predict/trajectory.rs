@@ -249,6 +249,8 @@ impl Trajectory {
                 process: value.process,
                 hangs_on_zero: known
                     .is_some_and(|(knowledge, steps)| steps.hangs_on_zero(knowledge, initial, value, &moved)),
+                is_drawn_to_zero: known
+                    .is_some_and(|(knowledge, _)| ValueSteps::is_drawn_to_zero(knowledge, initial, value)),
                 estimation,
                 limits: MeanLimits::Error,
             }

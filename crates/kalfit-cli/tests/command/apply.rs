@@ -359,3 +359,48 @@ fn a_new_unit_is_compared_with_an_estimated_population() {
     assert!(said.contains("silent.json does not contain the covariance of its estimates"), "{said}");
     near::mixed("p", number(&folder.table("s.csv")[0], "p_value"), 0.070_535_765_2, 1e-5);
 }
+
+/// The textbook filter with H, R and K of the two rows together where `e` is measured; `a` is 1.7 from then on.
+#[test]
+fn a_measurement_without_noise_is_known_from_its_step_on() {
+    let model = r#"[data]
+test = "test"
+time = "t"
+[states]
+a = {}
+b = {}
+[measurements.y]
+column = "y"
+equation = "a + b * x"
+noise = 0.5
+[measurements.e]
+column = "e"
+equation = "a"
+noise = 0
+[mean]
+fixed = { a = 1, b = 2 }
+[covariance]
+structure = "fixed"
+matrix = [[1, 0.3], [0.3, 0.5]]
+"#;
+    let data = "test,t,x,y,e\nA,0,1,3.1,\nA,1,2,5.6,\nA,2,1,2.9,1.7\nA,3,3,8.2,\n";
+    let folder = Folder::new(&[("m.toml", model.as_bytes()), ("d.csv", data.as_bytes())]);
+    // mean and standard deviation of a and b after each row; those before a row are those after the row before it
+    let filtered = [
+        [(1.055_319_148_9, 0.529_953_831_8), (2.034_042_553_2, 0.477_136_850_9)],
+        [(1.052_991_453_0, 0.529_934_223_1), (2.205_128_205_1, 0.339_683_110_2)],
+        [(1.7, 0.0), (1.777_306_273_1, 0.194_481_048_5)],
+        [(1.7, 0.0), (2.001_796_875_0, 0.126_552_854_6)],
+    ];
+    for (kind, later) in [("filtered", 0), ("predicted", 1)] {
+        let output = folder.run(&format!("apply m.toml d.csv --from m.toml --kind {kind} --states s.csv --quiet"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        let states: Vec<_> = folder.table("s.csv").into_iter().filter(|row| row["what"] == "state").collect();
+        assert_eq!(states.len(), 8);
+        for (row, expected) in states[2 * later..].iter().zip(filtered.as_flattened()) {
+            let what = format!("{kind} {row:?}");
+            near::mixed(&what, number(row, "value"), expected.0, 1e-9);
+            near::mixed(&what, number(row, "std_dev"), expected.1, 1e-9);
+        }
+    }
+}

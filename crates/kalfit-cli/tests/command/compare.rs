@@ -75,7 +75,9 @@ fn fits_stand_side_by_side_with_tests_of_one_within_another() {
       AIC and BIC weigh the log-likelihood against the number of free parameters;
         smaller is better. The weights are Akaike weights among these fits.
       Tests left out: the sum over all tests of the log density of each, given the
-        fit to the others.
+        mean and covariance of the fit to the others. Parameters have their values
+        from all tests, the one left out included, which flatters every free
+        parameter. Here all fits have the same free parameters.
       Nested fits are listed where the results files show that they are. `kalfit
         test` also handles boundaries, and has a bootstrap.
     ----- stderr
@@ -238,7 +240,9 @@ fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
       Results files do not contain the data. Whether the fits used the same data is
         judged from the names of the tests and the numbers of measured values.
       Tests left out: the sum over all tests of the log density of each, given the
-        fit to the others.
+        mean and covariance of the fit to the others. Parameters have their values
+        from all tests, the one left out included, which flatters every free
+        parameter. Here all fits have the same free parameters.
     ----- stderr
     ");
 }

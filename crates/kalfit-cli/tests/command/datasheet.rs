@@ -129,14 +129,19 @@ fn it_is_shown_as_a_table() {
         times the square root of the step.
       Mean: mean over the population of tests.
       Repeatability, unit to unit (serial): standard deviation, from one `serial` to
-        the next, of the part that its tests share.
-      Repeatability, run to run: standard deviation from test to test of one unit.
+        the next, of the part that its tests share; it is a spread of the
+        population, no repeatability in the sense of IEEE 528 and 647.
+      Repeatability, run to run: standard deviation from test to test of one unit,
+        the repeatability of IEEE 528 and 647 if the tests are under the same
+        conditions.
 
     Notes
       The curve of the model is that of a new test from its start, with all inputs
         zero.
       Taken as zero for the curve of the model: `rate`; `--at COLUMN=VALUE` gives
         them another value.
+      The records contain what these columns add through states: where a column
+        varies within a test, the records lie above the curve of the model.
       The curve of the records uses measured values minus known inputs, and all
         pairs of adjacent spans without a gap in all tests; its interval follows
         from the number of independent spans.

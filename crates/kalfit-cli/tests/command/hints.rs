@@ -33,7 +33,7 @@ fn names_of_outputs_that_say_something_else() {
     assert_snapshot!(refused("fit m.toml d.csv --report fit.JSON", &[]), @"
     error: the output `fit.JSON` would hold a page of HTML, which its ending does not say
 
-    hint: name it `.html`: `--report` takes a file for the page, `--out` one for the results, as JSON
+    hint: name it `.html`, from which a browser prints a PDF: `--report` takes a file for the page, `--out` one for the results, as JSON
     ");
     assert_snapshot!(refused("fit m.toml d.csv --out fit.csv", &[]), @"
     error: the output `fit.csv` would hold JSON, which its ending does not say
@@ -160,7 +160,7 @@ fn lines_of_comments_are_skipped_and_lines_keep_their_numbers() {
     assert_snapshot!(refused("fit told.toml c.csv", &[("told.toml", &told), ("c.csv", &wrong)]), @"
     error: c.csv, row 9, column `x`: found `one`, expected a number
 
-    hint: leave a missing cell empty, or add its text to `missing` of `[data]`
+    hint: a text is compared, as in `if(x == 'one', 1, 0)`; leave a missing cell empty, or add its text to `missing` of `[data]`
     ");
 }
 
@@ -174,7 +174,90 @@ fn parts_per_million_without_their_factor() {
     assert!(said.contains(&format!("warning: {asked}")), "{said}");
     let said = shown(&folder.run("fit m.toml d.csv")).replace("\n    ", " ");
     assert!(said.contains("State `slope` is in ppm"), "{said}");
-    folder.write("m.toml", ppm.replace("slope * x", "1e-6 * slope * x").as_bytes());
-    let said = shown(&folder.run("check m.toml"));
-    assert!(!said.contains("warning"), "{said}");
+    // the product of all numbers counts: parts of thousandths, as where a rate in deg/s makes a column in mdeg/s
+    for scaled in [
+        "1e-6 * slope * x",
+        "1e-3 * slope * x",
+        "slope * (x / 1000) * 1e-3",
+        "slope / 1000 * x",
+        "(x - 20) * slope / 1e6",
+    ] {
+        folder.write("m.toml", ppm.replace("slope * x", scaled).as_bytes());
+        let said = shown(&folder.run("check m.toml"));
+        assert!(!said.contains("warning"), "{scaled}: {said}");
+    }
+    for whole in ["1e-6 * slope * (1e6 * x)", "slope * (x - 1e-6)", "2 * slope * x"] {
+        folder.write("m.toml", ppm.replace("slope * x", whole).as_bytes());
+        let said = shown(&folder.run("check m.toml"));
+        assert!(said.contains("warning: state `slope` is in ppm"), "{whole}: {said}");
+    }
+}
+
+#[test]
+fn a_page_has_the_ending_of_a_page() {
+    assert_snapshot!(refused("fit m.toml d.csv --report fit.pdf", &[]), @"
+    error: the output `fit.pdf` would hold a page of HTML, which its ending does not say
+
+    hint: name it `.html`, from which a browser prints a PDF: `--report` takes a file for the page, `--out` one for the results, as JSON
+    ");
+    assert_snapshot!(refused("report fit.json --out page.docx", &[("fit.json", "{}")]), @"
+    error: the output `page.docx` would hold a page of HTML, which its ending does not say
+
+    hint: name it `.html`: it is a page for a browser
+    ");
+}
+
+#[test]
+fn a_state_that_is_misspelt() {
+    let misspelt = model("level + slope * x", "levle + slope * x");
+    assert_snapshot!(refused("fit m.toml d.csv", &[("m.toml", &misspelt)]), @r#"
+    error: d.csv has no column `levle`, which is used in `equation` of measurement `y`
+      --> m.toml:9:13 | equation = "levle + slope * x"
+                      |             ^^^^^ this column is not in the data
+
+    hint: what is no state or parameter is a column: is state `level` meant?
+    "#);
+    let parameter = model("noise = 0.1", "noise = \"sigam\"") + "[parameters]\nsigma = 0.1\n";
+    let parameter = parameter.replace("noise = \"sigam\"", "noise = \"sigma + 0 * sigam\"");
+    assert_snapshot!(refused("fit m.toml d.csv", &[("m.toml", &parameter)]), @r#"
+    error: d.csv has no column `sigam`, which is used in `noise` of measurement `y`
+      --> m.toml:10:22 | noise = "sigma + 0 * sigam"
+                       |                      ^^^^^ this column is not in the data
+
+    hint: what is no state or parameter is a column: is parameter `sigma` meant?
+    "#);
+}
+
+#[test]
+fn columns_with_blanks_between() {
+    let blanks = DATA.replace(',', "  ");
+    assert_snapshot!(refused("fit m.toml d.txt", &[("d.txt", &blanks)]), @r#"
+    error: d.txt has no column `id`, which is used in `test` of `[data]`
+      --> m.toml:2:8 | test = "id"
+                     |        ^^^^ this column is not in the data
+
+    hint: its header is one name of 3 words: if blanks stand between columns, write commas in their place, for instance by `sed -E 's/^ +//; s/ +/,/g' data.txt > data.csv`
+    "#);
+}
+
+#[test]
+fn a_text_where_a_number_belongs() {
+    let text = DATA.replace(",0,", ",placebo,").replace(",1,", ",drug,");
+    let regression = model("slope * x", "slope") + "[mean.regression]\nlevel = [\"x\"]\n";
+    assert_snapshot!(refused("fit m.toml d.csv", &[("m.toml", &regression), ("d.csv", &text)]), @"
+    error: d.csv, row 2, column `x`: found `placebo`, expected a number
+
+    hint: a regression takes numbers: write a column of 0 and 1 for `placebo`, or give the equation a state with `random = false` times `if(x == 'placebo', 1, 0)` in place of the regression; only a text for missing cells goes into `missing` of `[data]`
+    ");
+    assert_snapshot!(refused("fit m.toml d.csv", &[("d.csv", &text)]), @"
+    error: d.csv, row 2, column `x`: found `placebo`, expected a number
+
+    hint: a text is compared, as in `if(x == 'placebo', 1, 0)`; leave a missing cell empty, or add its text to `missing` of `[data]`
+    ");
+    let total = DATA.to_owned() + "c,Total,9\n";
+    assert_snapshot!(refused("fit m.toml d.csv", &[("d.csv", &total)]), @"
+    error: d.csv, row 11, column `x`: found `Total`, expected a number
+
+    hint: the row seems to sum up others: remove it
+    ");
 }

@@ -74,7 +74,7 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
       These standard deviations describe tests of one Lot; see "Spread by level" for
         those from Lot to Lot.
 
-    Spread by level (share: part of the variance of a test)
+    Spread by level (share: part of the variance of the states)
       state      spread          number  std dev        95 % interval   share
       thickness  Lot to Lot           8     10.6 ± 3.0  6.1 to 18.3    75.7 %
                  within one Lot      24      6.0 ± 1.2  4.1 to 8.8     24.3 %
@@ -91,7 +91,7 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
       std dev of thickness  within one Lot       6.0     4.1     9.1
       std dev of thickness  Lot to Lot          10.6     6.3    19.8
 
-    Spread by level (share: part of the variance of a test)
+    Spread by level (share: part of the variance of the states)
       state      spread          number  std dev        95 % interval   share
       thickness  Lot to Lot           8     10.6 ± 3.0  6.3 to 19.8    75.7 %
                  within one Lot      24      6.0 ± 1.2  4.1 to 9.1     24.3 %

@@ -74,14 +74,14 @@ fn sleep_study_has_the_figures_of_lme4() {
     Converged: the optimality conditions hold, so these are the maximum-likelihood
     estimates.
     Model check doubtful: the innovations of 4 of 18 tests are improbable (size or
-    correlation in time).
+    correlation from row to row).
     Log-likelihood -875.97, 5 free parameters, AIC 1761.94, BIC 1777.90.
 
     What to do next
       Let noise levels differ between tests (`per = "test"`, or `per` a column), or
         look for faults in the tests named under Innovations.
-      Add a process for what is correlated in time, such as a random walk or a
-        Gauss-Markov state, or another one beside it.
+      Add a process for what is correlated from row to row, such as a random walk or
+        a state with `next`, or another one beside it.
 
     Outlying tests
       No test is an outlier: the smallest of 18 p-values is 0.08 (test 309), or 1
@@ -92,14 +92,15 @@ fn sleep_study_has_the_figures_of_lme4() {
         displacement is 1.3, and 4.4 is the edge of the 50 % confidence region.
 
     Innovations (measured minus predicted)
-      test  what                  found  expected  p-value    Holm
-      332   larger than modelled   45.5        10     4e-6  0.0001
-      309   correlated in time     15.7         2   0.0003   0.009
-      335   correlated in time     14.9         2   0.0004    0.01
-      308   larger than modelled     31        10    0.001    0.04
+      test  what                        found  expected  p-value    Holm
+      332   larger than modelled         45.5        10     4e-6  0.0001
+      309   correlated from row to row   15.7         2   0.0003   0.009
+      335   correlated from row to row   14.9         2   0.0004    0.01
+      308   larger than modelled           31        10    0.001    0.04
       These are improbable at the 5 % level, after Holm correction for 36 p-values:
         a size that differs from the model suggests other noise levels, or faults in
-        the test; correlation in time suggests a missing process, such as a drift.
+        the test; correlation from row to row suggests a missing process, such as a
+        drift.
       Mean square of all 180 innovations, each divided by its standard deviation:
         1.00 (expected 1 ± 0.11).
 
@@ -446,6 +447,10 @@ fn two_sensors_in_long_data() {
         after Holm correction for 10 tests).
 
     Notes
+      State `x2` takes one step from each row to the next, however long: 1 of 34
+        steps in column `step` are not of the usual length 1, but from 1 to 2. If it
+        moves with time, let `next` and `step_noise` depend on `dt`, as `f^dt` for a
+        factor `f` and `sqrt(dt)` for noise.
       The variance of `x2` is weakly determined: its standard error (0.07601) is no
         smaller than the variance itself (0.07598).
 

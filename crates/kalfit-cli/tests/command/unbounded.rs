@@ -105,6 +105,18 @@ fn one_level_of_several_without_noise_is_named_alone() {
 }
 
 #[test]
+fn all_levels_without_noise_are_named_at_once() {
+    let is_still = |unit: usize| [2, 5, 7].contains(&unit);
+    let data = rows(|unit, t| UNITS[unit].0 + if is_still(unit) { 0.0 } else { 0.3 * scatter(unit, t) });
+    let model = model("[states.bias]", "bias", "sigma = { per = \"unit\" }");
+    let levels = "`sigma` for unit u2, `sigma` for unit u5 and `sigma` for unit u7 go to zero together";
+    is_unbounded("three units that never move", &model, &data, levels);
+    let (text, _) = fitted(&model, &data, 1);
+    assert!(text.contains("a floor (`lower` in"), "{text}");
+    assert!(!text.contains("diagonal covariance"), "{text}");
+}
+
+#[test]
 fn offsets_beyond_the_digits_of_the_data_are_no_false_alarm() {
     // noise of a part in 10⁸ of the values, and of one in 10⁵ of how they differ
     for (offset, noise) in [(0.0, 1e-5), (1e4, 1e-4), (0.0, 1e-7)] {

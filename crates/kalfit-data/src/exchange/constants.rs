@@ -128,7 +128,7 @@ impl ConstantColumns {
             let (at, found) = (row.place(name), shown(text.as_bytes()));
             match fault {
                 crate::cell::CellFault::Infinite => DataError::Infinite { at, found },
-                _ => DataError::NotANumber { at, found },
+                _ => DataError::NotANumber { at, found, used_in: "".into() },
             }
         })
     }

@@ -243,7 +243,7 @@ fn position(file: &str, names: &[String], name: &str) -> Result<Option<usize>, D
 }
 
 fn missing(file: &str, kind: &'static str, column: &'static str, names: Vec<String>) -> ExchangeError {
-    let columns = Box::new(FileColumns { near: nearest(column, &names), names });
+    let columns = Box::new(FileColumns { near: nearest(column, &names), names, elsewhere: None });
     ExchangeError::MissingColumn { file: file.to_owned(), kind, column, columns }
 }
 

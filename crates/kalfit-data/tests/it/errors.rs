@@ -232,7 +232,7 @@ fn numbers() {
     ");
     assert_snapshot!(cell("bad"), @r"
     standard input, row 3, column `y`: found `bad`, expected a number
-    hint: leave a missing cell empty, or add its text to `missing` of `[data]`
+    hint: a text is compared, as in `if(y == 'bad', 1, 0)`; leave a missing cell empty, or add its text to `missing` of `[data]`
     ");
     assert_snapshot!(cell("TRUE"), @r"
     standard input, row 3, column `y`: found `TRUE`, expected a number

@@ -95,6 +95,19 @@ fn times_must_not_decrease_within_a_phase() {
     ");
 }
 
+/// Nanoseconds since 1970 are no floats: they are compared, and printed, as they stand in the file.
+#[test]
+fn whole_times_of_many_digits_are_told_as_they_stand() {
+    let model = model(&["t"], &[], Some("t"));
+    let refused = |csv: &str| collect_stdin(&model, &by("id"), csv.as_bytes()).expect_err("times decrease").to_string();
+    insta::assert_snapshot!(refused("id,t\na,1403643780707532394\na,1403643768757536499\n"), @"standard input, row 3, column `t`: found time 1403643768757536499 after time 1403643780707532394 in test `a`, expected times that do not decrease");
+    insta::assert_snapshot!(refused("id,t\na,1403643780707532394\na,1403643780707532393\n"), @"standard input, row 3, column `t`: found time 1403643780707532393 after time 1403643780707532394 in test `a`, expected times that do not decrease");
+    let sound = "id,t\na,1\na,1403643780707532394\na,1403643780707532395\nb,2.5\n";
+    let (sink, _) = collect_stdin(&model, &by("id"), sound.as_bytes()).unwrap();
+    let found: Vec<f64> = (0..3).map(|row| sink.tests[0].numbers(row)[0]).collect();
+    assert_eq!(found, [1.0, 1_403_643_780_707_532_394_i64 as f64, 1_403_643_780_707_532_395_i64 as f64]);
+}
+
 #[test]
 fn date_times_of_all_phases_count_from_the_first_row_of_the_test() {
     let csv = b"id,phase,t\na,up,2024-01-01T00:00:10Z\na,down,2024-01-01T00:00:13Z\na,up,2024-01-01T00:00:12Z\n";

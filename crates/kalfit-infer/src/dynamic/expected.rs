@@ -51,9 +51,31 @@ pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
 }
 
+/// The points after a step up and down of one value of α, with the distance between the two; `None` where ℓ is not
+/// defined there.
+pub(super) fn along_value(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    s: usize,
+) -> Result<Option<([EvaluationPoint; 2], f64)>, DynamicError> {
+    let coordinate = &objective.coordinates[s];
+    let step = coordinate.step(fit.sought[s], STEP);
+    let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
+    let at = |value: f64| -> Result<Option<EvaluationPoint>, DynamicError> {
+        let mut sought = fit.sought.clone();
+        sought[s] = value;
+        let alpha = objective.alpha(&sought);
+        let there = fit.estimate.state.at_other_alpha(&fit.reductions, &alpha).ok().flatten();
+        there.map(|there| EvaluationPoint::new(objective, &alpha, there.law())).transpose()
+    };
+    let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
+    let (Some(up), Some(down)) = (at(values[0])?, at(values[1])?) else { return Ok(None) };
+    Ok(Some(([up, down], width)))
+}
+
 /// Units of correlated tests: the tests of one group of the outermost level, or, without groups, a single test. The
 /// order does not depend on the order of the tests in the ensemble.
-fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
+pub(super) fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
     let Some(grouping) = objective.grouping() else {
         return objective
             .order()
@@ -77,9 +99,9 @@ fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
 
 /// The point of a fit, and, for each coordinate, the points after a step up and down, with the distance between the
 /// two.
-struct Directions {
-    centre: EvaluationPoint,
-    all: Vec<([EvaluationPoint; 2], f64)>,
+pub(super) struct Directions {
+    pub(super) centre: EvaluationPoint,
+    pub(super) all: Vec<([EvaluationPoint; 2], f64)>,
 }
 
 impl Directions {
@@ -93,19 +115,8 @@ impl Directions {
         let place = |alpha: &Alpha, law: InitialLaw| EvaluationPoint::new(objective, alpha, law);
         let mut all = Vec::new();
         for &s in shared {
-            let coordinate = &objective.coordinates[s];
-            let step = coordinate.step(fit.sought[s], STEP);
-            let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
-            let at = |value: f64| -> Result<Option<EvaluationPoint>, DynamicError> {
-                let mut sought = fit.sought.clone();
-                sought[s] = value;
-                let alpha = objective.alpha(&sought);
-                let there = state.at_other_alpha(&fit.reductions, &alpha).ok().flatten();
-                there.map(|there| place(&alpha, there.law())).transpose()
-            };
-            let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
-            let (Some(up), Some(down)) = (at(values[0])?, at(values[1])?) else { return Ok(None) };
-            all.push(([up, down], width));
+            let Some(own) = along_value(objective, fit, s)? else { return Ok(None) };
+            all.push(own);
         }
         let tangent = &state.newton_iterate.tangent;
         for i in 0..tangent.gradient.len() {
@@ -124,7 +135,7 @@ impl Directions {
     }
 
     /// Expected information of a unit of tests; incomplete once `progress` stops.
-    fn information(
+    pub(super) fn information(
         &self,
         unit: &[GroupedTest<'_>],
         progress: &SharedProgress<'_>,

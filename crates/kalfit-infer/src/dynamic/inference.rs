@@ -1,9 +1,12 @@
 //! Uncertainty of each number of a fit with free α.
 
 use crate::dynamic::mixed::mixed;
-use crate::dynamic::{expected, interval, law, profile, sandwich};
-use crate::{Choices, Inference, IntervalKind, QUANTILE, SharedProgress, StdErrors, inferred, sensitivities};
-use kalfit_estimate::{Criterion, Estimate, JointLaw, Progress, Stop};
+use crate::dynamic::{expected, interval, law, profile, sandwich, started};
+use crate::freed::{self, Freed};
+use crate::score_test::p_value;
+use crate::{Choices, Inference, IntervalKind, QUANTILE, SharedProgress, StdErrors};
+use crate::{Sensitivity, holds_any, inferred, sensitivities};
+use kalfit_estimate::{Criterion, Estimate, Progress, Silent, Stop};
 use kalfit_model::Labels;
 use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
@@ -53,8 +56,6 @@ pub fn infer(
             let mut other = fit.estimate.clone();
             other.state.joint = Some(law::joint(model, fit, requested));
             let inference = inferred(&other, &fit.reductions, wald, progress);
-            // score tests always use the observed information
-            let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
             (inference, parameter_inferences(model, fit, requested))
         }
         None => {
@@ -62,6 +63,7 @@ pub fn infer(
             (inference, parameter_inferences(model, fit, &observed))
         }
     };
+    inference.sensitivities = constraints(&objective, fit, (&estimate, labels), progress)?;
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
         let from_errors = (inference.intervals.clone(), parameters.clone());
         let goes_on = |runs| progress.goes_on(runs);
@@ -95,10 +97,65 @@ fn profiles(
 /// The estimate with the law of (α, μ, Σ) from the observed information, and the covariances of this law.
 pub(super) fn estimate_with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
     let observed = spread(objective, fit, fit.joint.covariances_with(&flat::examined_eigenvalues(objective, fit)));
-    let joint = law::joint(objective.model, fit, &observed);
     let mut estimate = fit.estimate.clone();
-    estimate.state.joint = Some(JointLaw { mixed: mixed(objective, fit, &observed), ..joint });
+    estimate.state.joint = Some(law::joint(objective.model, fit, &observed));
     (estimate, observed)
+}
+
+/// Score tests of the constraints on (μ, Σ), with α adapting, and likelihood ratios of those that they reject.
+fn constraints(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    (estimate, labels): (&Estimate, &Labels),
+    progress: &SharedProgress<'_>,
+) -> Result<Vec<Sensitivity>, DynamicError> {
+    if !holds_any(&estimate.state) {
+        return Ok(Vec::new());
+    }
+    let mut estimate = estimate.clone();
+    if let Some(joint) = &mut estimate.state.joint {
+        joint.mixed = mixed(objective, fit, progress)?;
+    }
+    let mut found = sensitivities(&estimate);
+    if fit.stop == Stop::Certified && freed::is_possible(&fit.estimate, &fit.reductions) {
+        let maximum = |freed: &Freed, level: f64, one_sided: bool| match progress.stops() {
+            true => None,
+            false => freed_maximum(objective, fit, labels, (freed, level, one_sided)),
+        };
+        freed::add_ratios(&fit.estimate, &mut found, &maximum);
+    }
+    Ok(found)
+}
+
+/// ℓ_max with a constraint freed. Where the fit at the α of the constrained maximum decides at `level`, α stays there,
+/// and the likelihood ratio is a lower bound.
+fn freed_maximum(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    labels: &Labels,
+    (freed, level, one_sided): (&Freed, f64, bool),
+) -> Option<f64> {
+    let at_alpha = freed::freed_maximum(&fit.estimate, &fit.reductions, freed);
+    let ratio = |maximum: f64| (2.0 * (maximum - fit.estimate.log_likelihood)).max(0.0);
+    if at_alpha.is_some_and(|maximum| p_value(ratio(maximum), one_sided) < level) {
+        return at_alpha;
+    }
+    let mut model = started(objective.model, (objective.model, fit));
+    match freed.part.checked_sub(model.phases.len()) {
+        None => {
+            let own = &mut model.phases[freed.part].model;
+            (own.mean, own.covariance) = (freed.mean.clone(), freed.covariance.clone());
+        }
+        // the structure has the innermost level first
+        Some(level) => {
+            let place = model.levels.len() - 1 - level;
+            model.levels[place].covariance = freed.covariance.clone();
+        }
+    }
+    let found = kalfit_search::fit(&model, labels, objective.tests, &fit.settings, &mut Silent).ok();
+    let certified = |found: &DynamicFit| found.stop == Stop::Certified && found.estimate.stop == Stop::Certified;
+    let found = found.filter(certified).map(|found| found.estimate.log_likelihood);
+    [found, at_alpha].into_iter().flatten().reduce(f64::max).filter(|_| found.is_some())
 }
 
 /// Converts the variances of noise covariances in `covariances`, which are variances of the sought values.

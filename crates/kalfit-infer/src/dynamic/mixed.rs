@@ -1,77 +1,161 @@
-//! Change of the scores of all elements of (μ, Σ) with α, which the score test of a constraint needs where α is free.
+//! The expected information that free values of α share with every element of (μ, Σ), which the score test of a
+//! constraint needs where α is free.
 //!
-//! The information of (α, μ, Σ) is along the free directions of (μ, Σ). An element that a constraint holds is in no
-//! free direction, so the mixed information of the element with α is computed separately, by differences of exact
-//! scores at fixed (μ, Σ).
+//! A mean enters the filter linearly, and so does Σ: a root F of Σ with one more column v gives Σ + vv', and the
+//! difference of v = ae_i + be_j and v = ae_i - be_j is 2ab in σ_ij. So slopes along elements of (μ, Σ) are exact.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
+use crate::SharedProgress;
+use crate::dynamic::expected::{Directions, along_value, is_possible, units};
+use crate::dynamic::stepwise::{EvaluationPoint, GroupedTest};
 use crate::holds_any;
-use kalfit_estimate::Mixed;
-use kalfit_search::DynamicFit;
-use kalfit_search::ProfileLikelihood;
-use kalfit_search::ValueCovariances;
-use kalfit_search::two_sides;
+use crate::law::AsymptoticLaw;
+use kalfit_estimate::{Criterion, Mixed};
+use kalfit_filter::score::InitialLaw;
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_search::{DynamicError, DynamicFit, ProfileLikelihood};
 
-/// Step of a difference: of a logarithm, or as a fraction of a standard error.
-const STEP: f64 = 1e-4;
-/// Largest step, as a fraction of a value's size.
-const MAX_PART: f64 = 1e-2;
-/// Largest number of values with mixed information; with more values, score tests treat α as known.
+/// Largest number of values that adapt; with more values, score tests treat α as known.
 const MAX_VALUES: usize = 24;
+/// Number of elements of (μ, Σ) in one pass of the filters.
+const ELEMENTS_PER_PASS: usize = 8;
+/// Largest number of multiplications for this information: with more, it comes from evenly chosen tests.
+const MOST_MULTIPLICATIONS: f64 = 5e8;
 
-/// Mixed information of the values that move at the end of a fit and the elements of (μ, Σ). `None` where no value
-/// moves or no element is held, where more than [`MAX_VALUES`] values or values of single tests move, and where ℓ is
-/// not defined close to the end.
+/// Covariance of all that is free, and expected information of the values of α that move with the elements of (μ, Σ).
+/// `None` where no value moves or no element is held, where more than [`MAX_VALUES`] values or values of single tests
+/// move, where tests are not given by rows, and once `progress` stops.
 pub(super) fn mixed(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
-    covariances: &ValueCovariances,
-) -> Option<Mixed> {
-    let shared = &covariances.shared;
-    if shared.is_empty()
-        || shared.len() > MAX_VALUES
-        || !fit.joint.is_of_shared_values()
-        || !holds_any(&fit.estimate.state)
-    {
-        return None;
+    progress: &SharedProgress<'_>,
+) -> Result<Option<Mixed>, DynamicError> {
+    let (state, shared) = (&fit.estimate.state, fit.joint.shared());
+    let needed = !shared.is_empty()
+        && shared.len() <= MAX_VALUES
+        && fit.joint.is_of_shared_values()
+        && holds_any(state)
+        && fit.estimate.criterion == Criterion::Ml;
+    if !needed || fit.reductions.remote().is_some() || !is_possible(objective) {
+        return Ok(None);
     }
-    let rows: Option<Vec<DVector<f64>>> = shared.iter().map(|&s| row(objective, fit, covariances, s)).collect();
-    let rows = rows?;
-    let width = rows.first().map_or(0, DVector::len);
-    let (k, n) = (shared.len(), covariances.whole.nrows());
-    let tangent_first: Vec<usize> = (k..n).chain(0..k).collect(); // the tangent basis first
-    Some(Mixed {
-        covariance: DMatrix::from_fn(n, n, |i, j| covariances.whole[(tangent_first[i], tangent_first[j])]),
-        information: DMatrix::from_fn(k, width, |i, j| rows[i][j]),
-    })
+    let Some([of_values, information]) = information(objective, fit, progress)? else { return Ok(None) };
+    let law = AsymptoticLaw::new(state);
+    let (k, n) = (shared.len(), law.jacobian().ncols());
+    let mut all = DMatrix::zeros(k + n, k + n);
+    all.view_mut((0, 0), (k, k)).copy_from(&of_values);
+    for a in 0..k {
+        let cross = law.jacobian().transposed_times(&information.row(a).transpose());
+        all.view_mut((k, a), (n, 1)).copy_from(&cross);
+        all.view_mut((a, k), (1, n)).copy_from(&cross.transpose());
+    }
+    all.view_mut((k, k), (n, n)).copy_from(&law.jacobian().congruence(&state.sums.all_expected_information()));
+    let Some(covariances) = fit.joint.covariances_of(&all) else { return Ok(None) };
+    let tangent_first: Vec<usize> = (k..k + n).chain(0..k).collect();
+    let covariance = DMatrix::from_fn(k + n, k + n, |i, j| covariances.whole[(tangent_first[i], tangent_first[j])]);
+    Ok(Some(Mixed { covariance, information }))
 }
 
-/// -∂²ℓ/∂α∂(every element) for one value, by a central difference, or by a one-sided difference at a bound.
-fn row(
+/// Expected information of α, values × values, and of α with (mean coordinates, elements of Σ) in η, values × elements.
+fn information(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
-    covariances: &ValueCovariances,
-    s: usize,
-) -> Option<DVector<f64>> {
-    let (coordinate, value) = (&objective.coordinates[s], fit.sought[s]);
-    let error = covariances.alpha[s].map(f64::sqrt);
-    let max_step = MAX_PART * value.abs().max(MAX_PART);
-    let step = if coordinate.log { STEP } else { error.map_or(max_step, |error| (STEP * error).min(max_step)) };
-    let at = |sign: f64| -> Option<(f64, DVector<f64>)> {
-        let mut values = fit.sought.clone();
-        values[s] = coordinate.moved(value, sign * step);
-        let place = coordinate.of_value(values[s]);
-        Some((place, scores(objective, fit, &values)?))
-    };
-    let [upper, lower] = two_sides(at(1.0), at(-1.0), || at(0.0))?;
-    let width = upper.0 - lower.0;
-    (width > 0.0).then(|| (lower.1 - upper.1) / width)
+    progress: &SharedProgress<'_>,
+) -> Result<Option<[DMatrix<f64>; 2]>, DynamicError> {
+    let (shared, elements) = (fit.joint.shared(), element_laws(fit));
+    let (k, count) = (shared.len(), elements.len());
+    let units = units(objective);
+    let every = stride(objective, units.len(), k, count);
+    let chosen: Vec<&Vec<GroupedTest<'_>>> = units.iter().step_by(every).collect();
+    let rows = |unit: &Vec<GroupedTest<'_>>| unit.iter().map(|member| rows_of(member.test)).sum::<usize>() as f64;
+    let share = units.iter().map(rows).sum::<f64>() / chosen.iter().map(|unit| rows(unit)).sum::<f64>().max(1.0);
+    let (mut of_values, mut with_elements) = (DMatrix::zeros(k, k), DMatrix::zeros(k, count));
+    for (number, chunk) in elements.chunks(ELEMENTS_PER_PASS).enumerate() {
+        let mut all = Vec::new();
+        for &s in shared {
+            let Some(own) = along_value(objective, fit, s)? else { return Ok(None) };
+            all.push(own);
+        }
+        let place = |law: &InitialLaw| EvaluationPoint::new(objective, &fit.alpha, law.clone());
+        for (sides, width) in chunk {
+            all.push(([place(&sides[0])?, place(&sides[1])?], *width));
+        }
+        let directions = Directions { centre: place(&fit.estimate.state.law())?, all };
+        let Some(parts) = progress.each(chosen.len(), |at| directions.information(chosen[at], progress)) else {
+            return Ok(None);
+        };
+        let mut sum = DMatrix::zeros(k + chunk.len(), k + chunk.len());
+        for part in parts {
+            sum += part.map_err(|error| DynamicError::Reduce(Box::new(error)))?;
+        }
+        of_values.copy_from(&(sum.view((0, 0), (k, k)) * share));
+        let first = number * ELEMENTS_PER_PASS;
+        with_elements.columns_mut(first, chunk.len()).copy_from(&(sum.view((0, k), (k, chunk.len())) * share));
+    }
+    Ok((!progress.stops()).then_some([of_values, with_elements]))
 }
 
-/// Scores of all elements at other values of α and the (μ, Σ) of the fit.
-fn scores(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, values: &[f64]) -> Option<DVector<f64>> {
-    let reduced = objective.reduce(values).ok()?;
-    let at = fit.estimate.state.at_other_alpha(&reduced.reductions, &objective.alpha(values)).ok()??;
-    Some(at.scores())
+/// One of so many units of tests is used, such that the work stays within [`MOST_MULTIPLICATIONS`].
+fn stride(objective: &ProfileLikelihood<'_>, units: usize, k: usize, elements: usize) -> usize {
+    let states = objective.model.phases.iter().map(|phase| phase.model.states.len()).max().unwrap_or(0);
+    let states = states + objective.model.levels.len() * objective.model.dimension();
+    let stacked = (states * (k + ELEMENTS_PER_PASS.min(elements) + 1)) as f64;
+    let rows = objective.tests.iter().map(rows_of).sum::<usize>() as f64;
+    let work = elements.div_ceil(ELEMENTS_PER_PASS) as f64 * rows * stacked * stacked;
+    let wanted = (work / MOST_MULTIPLICATIONS).ceil().max(1.0) as usize;
+    wanted.min(units.max(1))
+}
+
+fn rows_of(test: &PhasedTest) -> usize {
+    let of = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() } else { 0 };
+    test.phases.iter().map(of).sum()
+}
+
+/// Laws of ξ above and below the estimate along each element of (mean coordinates, Σ), and their distance in η.
+fn element_laws(fit: &DynamicFit) -> Vec<([InitialLaw; 2], f64)> {
+    let state = &fit.estimate.state;
+    let (problem, law) = (&state.problem, state.law());
+    let (scale, p) = (&problem.classes.frame.scale, law.root.nrows());
+    let moved = |change: &dyn Fn(&mut InitialLaw, f64)| {
+        [1.0, -1.0].map(|sign| {
+            let mut moved = law.clone();
+            change(&mut moved, sign);
+            moved
+        })
+    };
+    // the effects of groups have no mean
+    let means = (0..scale.len()).map(|i| {
+        (
+            moved(&|law, sign| {
+                if i < p {
+                    law.mean[i] += sign * scale[i]
+                }
+            }),
+            2.0,
+        )
+    });
+    let units = problem.mean.coefficient_scale.iter().enumerate();
+    let coefficients = units.map(|(c, unit)| (moved(&|law, sign| law.regression[c].1 += sign / unit), 2.0));
+    let blocks = scale.len() / p.max(1);
+    let covariances = problem.covariance.elements.all().map(|(i, j)| {
+        let with = |law: &mut InitialLaw, sign: f64| {
+            let width = law.root.ncols() / blocks;
+            let mut root = DMatrix::zeros(p, law.root.ncols() + blocks);
+            for block in 0..blocks {
+                let own = law.root.columns(block * width, width);
+                root.view_mut((0, block * (width + 1)), (p, width)).copy_from(&own);
+            }
+            let column = (i / p) * (width + 1) + width;
+            if i != j {
+                root[(i % p, column)] = scale[i];
+                root[(j % p, column)] = sign * scale[j];
+            } else if sign > 0.0 {
+                root[(i % p, column)] = scale[i];
+            }
+            law.root = root;
+        };
+        (moved(&with), if i == j { 1.0 } else { 2.0 })
+    });
+    means.chain(coefficients).chain(covariances).collect()
 }

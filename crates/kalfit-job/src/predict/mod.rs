@@ -53,6 +53,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
         known_units: job.units == PredictedUnits::Known,
         estimation,
         profile: profiles.is_some(),
+        covariance_errors: units.have_covariance_errors(),
     };
     let profiles = profiles.map(|profiles| profiles.limits((&predictor, &tests, &units, &reading), job, &mut work));
     let record = PredictedRecord::new(&design.model, source, job.limits);

@@ -35,6 +35,14 @@ impl UnitLaws {
         Ok(UnitLaws::Known { units, level: level.name.clone(), path: job.from.name() })
     }
 
+    /// Whether the laws of known units say how their means follow the estimated covariances.
+    pub(super) fn have_covariance_errors(&self) -> Option<bool> {
+        match self {
+            UnitLaws::New(_) => None,
+            UnitLaws::Known { units, .. } => Some(units.values().all(|unit| unit.by_estimates.is_some())),
+        }
+    }
+
     /// The groups of tests, where they count.
     pub(super) fn grouping(&self, design: &Spec, tests: &[PhasedTest]) -> Result<Option<Grouping>, Failure> {
         match self {

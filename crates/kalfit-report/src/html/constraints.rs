@@ -44,8 +44,8 @@ fn chart(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
         plain(largest, 3),
         name(first)
     );
-    let caption = "What each constraint costs: about twice the log-likelihood that freeing it alone would gain. Bars beyond the \
-                   dashed line contradict the constraint; of twenty true constraints one does so by chance.";
+    let caption = "What each constraint costs: about twice the log-likelihood that freeing it alone would gain, by the slope at \
+                   the constraint. Of twenty true constraints, one has a bar beyond the dashed line by chance.";
     Some(charts.figure(PageChart {
         kind: "bars",
         title: "Score tests of the constraints",

@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::ConstraintRecord;
 
 use crate::figures;
-use crate::number::plain;
+use crate::number::{plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, list};
@@ -13,6 +13,8 @@ use crate::words::{clean, list};
 const MOST_ROWS: usize = 20;
 /// Level at which the data are said to speak against a constraint.
 const LEVEL: f64 = 0.05;
+/// Constraints that a remark names.
+const MOST_NAMED: usize = 5;
 
 pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     if record.constraints.is_empty() {
@@ -28,6 +30,10 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let mut columns =
         vec![TextColumn::new("element", ColumnSide::Left, rows.iter().map(|r| name(record, r)).collect())];
     columns.extend(figures::columns(&ConstraintRecord::FIGURES, rows.iter().copied()));
+    if rows.iter().any(|row| row.likelihood_ratio_p_value.is_some()) {
+        let p_values = rows.iter().map(|r| r.likelihood_ratio_p_value.map_or_else(|| "-".to_owned(), probability));
+        columns.push(TextColumn::new("p of refit", ColumnSide::Right, p_values.collect()));
+    }
     columns.push(TextColumn::new("if freed", ColumnSide::Right, rows.iter().map(|r| freed(r)).collect()));
     let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints (score test of each one separately)", &body)
@@ -51,16 +57,35 @@ fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
         ));
     }
     let tested = record.constraints.iter().filter(|c| c.p_value.is_some()).count();
-    let against: Vec<String> = record
-        .constraints
-        .iter()
-        .filter(|c| c.p_value.is_some_and(|p| p * (tested as f64) < LEVEL))
-        .map(|c| clean(&name(record, c)))
-        .collect();
+    let is_small = |p: f64| p * (tested as f64) < LEVEL;
+    let rejected = |c: &&ConstraintRecord| c.p_value.is_some_and(is_small);
+    let named = |which: &dyn Fn(&ConstraintRecord) -> bool| -> Vec<String> {
+        let all = record.constraints.iter().filter(rejected).filter(|c| which(c));
+        all.map(|c| clean(&name(record, c))).collect()
+    };
+    let against = named(&|c| c.likelihood_ratio_p_value.is_some_and(is_small));
+    let unconfirmed = named(&|c| c.likelihood_ratio_p_value.is_some_and(|p| !is_small(p)));
+    let alone = named(&|c| c.likelihood_ratio_p_value.is_none());
     let counted = if tested > 1 { format!(", after Bonferroni correction for {tested} tests") } else { String::new() };
     if !against.is_empty() {
-        remarks.push(format!("The data contradict the constraint on {} (5 % level{counted}).", list(&against, 5)));
-    } else if tested > 0 {
+        remarks.push(format!(
+            "The data contradict the constraint on {} (5 % level{counted}).",
+            list(&against, MOST_NAMED)
+        ));
+    }
+    if !unconfirmed.is_empty() {
+        remarks.push(format!(
+            "The score test rejects the constraint on {}, but the likelihood ratio of a fit without it does not (5 % level{counted}).",
+            list(&unconfirmed, MOST_NAMED)
+        ));
+    }
+    if !alone.is_empty() {
+        remarks.push(format!(
+            "The score test rejects the constraint on {} (5 % level{counted}); no fit without it confirms this.",
+            list(&alone, MOST_NAMED)
+        ));
+    }
+    if tested > 0 && against.is_empty() && unconfirmed.is_empty() && alone.is_empty() {
         let which = if tested == 1 { "the constraint" } else { "any of them" };
         remarks.push(format!("The data do not contradict {which} (5 % level{counted})."));
     }

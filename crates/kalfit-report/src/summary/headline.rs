@@ -12,6 +12,9 @@ use crate::words::{capital, clean, count, list, sentence};
 pub(crate) const OF_ESTIMATES: &str = "This log-likelihood is that of the filters' estimates, not of the measurements. Compare it \
                                        only with fits to the same estimates.";
 
+/// What one test alone cannot show.
+const ONE_TEST: &str = "This is one test alone: it shows nothing of how tests differ.";
+
 /// Rounding errors above this many standard errors are told.
 const NOTABLE: f64 = 1e-6;
 
@@ -25,6 +28,9 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         text.push_str(&(verdicts(record, page) + "\n"));
     }
     text.push_str(&page.paragraph(&data(&record.data)));
+    if record.data.tests == 1 {
+        text.push_str(&page.paragraph(ONE_TEST));
+    }
     text.extend(phases::combined(record).iter().map(|sentence| page.paragraph(sentence)));
     text.extend(places::counted(record).iter().map(|sentence| page.paragraph(sentence)));
     text
@@ -66,6 +72,10 @@ pub(crate) fn verdict(record: &FitRecord) -> String {
         return format!(
             "Not converged: {reason}. The figures below are where the solver stopped, not a maximum of the likelihood."
         );
+    }
+    if record.data.observations == 0 && record.log_likelihood_kind != "estimates" {
+        return "Nothing was estimated: no row has a value of any measurement, and every figure is where the search began."
+            .to_owned();
     }
     let what = if record.criterion == "reml" { "restricted maximum-likelihood" } else { "maximum-likelihood" };
     let rounding = record.certificate.rounding;

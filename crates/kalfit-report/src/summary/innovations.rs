@@ -47,7 +47,7 @@ pub(super) fn kinds(record: &FitRecord) -> ImprobableKinds {
 
 /// Whether all innovations together are larger or smaller than chance allows.
 pub(super) fn size(record: &FitRecord) -> Ordering {
-    let (n, nis) = sums(&of_tests(record));
+    let (n, nis) = record.overall_innovations();
     overall_size(n, nis, record.free_parameters)
 }
 
@@ -61,12 +61,14 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let Some(least) = findings.first() else { return String::new() };
     let improbable = findings.iter().take_while(|f| f.adjusted < SEARCH_LEVEL).count();
     let phases: Vec<&str> = record.phases.iter().map(|phase| phase.name.as_str()).collect();
-    let overall = overall(&all, record.free_parameters) + &by_phase(&all, &phases);
+    let overall = overall(record.overall_innovations(), record.free_parameters) + &by_phase(&all, &phases);
+    let correlates = record.correlates();
     let body = match improbable {
-        0 => page.items(&[overall, probable(least, findings.len())]),
+        0 => page.items(&[overall, probable(least, findings.len(), correlates)]),
         n => {
             let (found, all) = (&findings[..n], findings.len());
-            shown(found, phases.len() > 1, page) + &page.items(&[meaning(found, all, page), overall])
+            shown(found, (phases.len() > 1, correlates), page)
+                + &page.items(&[meaning(found, (all, correlates), page), overall])
         }
     };
     page.section("Innovations (measured minus predicted)", &body)
@@ -92,8 +94,7 @@ fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<ImprobableFigure
 }
 
 /// Size of all innovations together.
-fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
-    let (n, nis) = sums(all);
+fn overall((n, nis): (usize, f64), free: usize) -> String {
     let spread = (2.0 / n.max(1) as f64).sqrt();
     let mean = nis / n.max(1) as f64;
     let verdict = match overall_size(n, nis, free) {
@@ -107,11 +108,6 @@ fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
         FigurePrecision::of(mean, Some(spread)).show(mean),
         plain(spread, 2)
     )
-}
-
-/// Number of all innovations, and their normalised square.
-fn sums(all: &[(&str, &InnovationRecord)]) -> (usize, f64) {
-    (all.iter().map(|(_, found)| found.count).sum(), all.iter().filter_map(|(_, found)| found.nis).sum())
 }
 
 /// The same of each phase that has any, where there are several.
@@ -132,10 +128,11 @@ fn by_phase(all: &[(&str, &InnovationRecord)], phases: &[&str]) -> String {
     if phases.len() > 1 && !each.is_empty() { format!(" By phase: {}.", each.join(", ")) } else { String::new() }
 }
 
-fn probable(least: &ImprobableFigure<'_>, all: usize) -> String {
+fn probable(least: &ImprobableFigure<'_>, all: usize, correlates: &str) -> String {
     let what = match least.of {
-        InnovationFigure::Size(_) => "size",
-        InnovationFigure::Whiteness(_) => "time correlation",
+        InnovationFigure::Size(_) => "size".to_owned(),
+        InnovationFigure::Whiteness(_) if correlates == "in time" => "time correlation".to_owned(),
+        InnovationFigure::Whiteness(_) => format!("correlation {correlates}"),
     };
     let holm = match all {
         1 => String::new(),
@@ -148,19 +145,21 @@ fn probable(least: &ImprobableFigure<'_>, all: usize) -> String {
     )
 }
 
-fn shown(improbable: &[ImprobableFigure<'_>], phased: bool, page: &PageLayout<'_>) -> String {
+fn shown(improbable: &[ImprobableFigure<'_>], (phased, correlates): (bool, &str), page: &PageLayout<'_>) -> String {
     let rows = &improbable[..improbable.len().min(page.rows(MOST_ROWS))];
-    let figures = |of: fn(&InnovationFigure<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
+    let figures =
+        |of: &dyn Fn(&InnovationFigure<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
     let mut columns = vec![
         TextColumn::new("test", ColumnSide::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
-        TextColumn::new("what", ColumnSide::Left, figures(|of| of.words().to_owned())),
-        TextColumn::new("found", ColumnSide::Right, figures(|of| of.found())),
-        TextColumn::new("expected", ColumnSide::Right, figures(|of| of.expected())),
+        TextColumn::new("what", ColumnSide::Left, figures(&|of| of.words(correlates))),
+        TextColumn::new("found", ColumnSide::Right, figures(&|of| of.found())),
+        TextColumn::new("expected", ColumnSide::Right, figures(&|of| of.expected())),
         TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
         TextColumn::new("Holm", ColumnSide::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
     ];
     if phased {
-        columns.insert(1, TextColumn::new("most in", ColumnSide::Left, figures(|of| clean(of.phase().unwrap_or("-")))));
+        columns
+            .insert(1, TextColumn::new("most in", ColumnSide::Left, figures(&|of| clean(of.phase().unwrap_or("-")))));
     }
     page.table(&columns)
 }
@@ -177,13 +176,13 @@ impl InnovationFigure<'_> {
         known.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, phase)| phase)
     }
 
-    fn words(&self) -> &'static str {
+    fn words(&self, correlates: &str) -> String {
         match self {
             InnovationFigure::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => {
-                "smaller than modelled"
+                "smaller than modelled".to_owned()
             }
-            InnovationFigure::Size(_) => "larger than modelled",
-            InnovationFigure::Whiteness(_) => "correlated in time",
+            InnovationFigure::Size(_) => "larger than modelled".to_owned(),
+            InnovationFigure::Whiteness(_) => format!("correlated {correlates}"),
         }
     }
 
@@ -205,7 +204,7 @@ impl InnovationFigure<'_> {
 }
 
 /// What to make of it.
-fn meaning(improbable: &[ImprobableFigure<'_>], all: usize, page: &PageLayout<'_>) -> String {
+fn meaning(improbable: &[ImprobableFigure<'_>], (all, correlates): (usize, &str), page: &PageLayout<'_>) -> String {
     let more = match improbable.len().saturating_sub(page.rows(MOST_ROWS)) {
         0 => String::new(),
         n => format!(" (and {n} more)"),
@@ -214,14 +213,15 @@ fn meaning(improbable: &[ImprobableFigure<'_>], all: usize, page: &PageLayout<'_
     let any = |of: fn(&InnovationFigure<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
     let mut because = Vec::new();
     if any(|of| matches!(of, InnovationFigure::Size(_))) {
-        because.push("a size that differs from the model suggests other noise levels, or faults in the test");
+        because
+            .push("a size that differs from the model suggests other noise levels, or faults in the test".to_owned());
     }
     if any(|of| matches!(of, InnovationFigure::Whiteness(_))) {
-        because.push("correlation in time suggests a missing process, such as a drift");
+        because.push(format!("correlation {correlates} suggests a missing process, such as a drift"));
     }
     let because = because.join("; ");
     format!(
-        "{these} improbable{more} at the 5 % level, after Holm correction for {}: {because}.",
+        "{these} improbable{more} at the 1 % level, after Holm correction for {}: {because}.",
         count(all, "p-value")
     )
 }

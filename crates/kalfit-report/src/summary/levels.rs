@@ -27,7 +27,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         );
     }
     let body = page.table(&columns(record, &places(record))) + &page.items(&sentences);
-    let mut sections = vec![page.section(&format!("{TABLE} (share: part of the variance of a test)"), &body)];
+    let mut sections = vec![page.section(&format!("{TABLE} (share: part of the variance of the states)"), &body)];
     let unchanged = |what: &str| what.to_owned();
     for (level, place) in outer(record) {
         sections.push(correlations::section(level.into(), &place, &unchanged, page));

@@ -12,6 +12,7 @@ pub(crate) mod influence;
 pub(crate) mod innovations;
 pub(crate) mod intervals;
 pub(crate) mod levels;
+pub(crate) mod misfit;
 pub(crate) mod observability;
 pub(crate) mod outliers;
 pub(crate) mod outlying_groups;
@@ -49,6 +50,7 @@ pub fn summary(record: &FitRecord, style: &TextStyle) -> String {
     sections.push(outliers::section(record, &page));
     sections.push(influence::section(record, &page));
     sections.push(innovations::section(record, &page));
+    sections.push(misfit::section(record, &page));
     sections.push(groups::section(record, &page));
     sections.push(notes(record, &page));
     sections.push(work(record, &page));

@@ -30,6 +30,7 @@ fn group(level: &str, id: &[&str], p_value: f64) -> UnitRecord {
         mean: vec![1.0, 2.0],
         covariance: identity(),
         follows: None,
+        by_estimates: None,
         distance: Some(-2.0 * p_value.ln()),
         degrees_of_freedom: 2,
         p_value: Some(p_value),
@@ -92,7 +93,7 @@ fn each_level_has_its_spread_and_its_correlations() {
                     bias
       scale  0.00 ± 0.20
 
-    Spread by level (share: part of the variance of a test)
+    Spread by level (share: part of the variance of the states)
       state  spread           number  std dev                   share
       bias   lot to lot            3     1.00 ± 0.15 boundary  16.7 %
              chip to chip          9     2.00 ± 0.15           66.7 %
@@ -142,7 +143,7 @@ fn a_level_at_which_nothing_varies_is_said_so() {
         BoundaryRecord { rank: 0, zero_variances: vec!["bias".into(), "scale".into()], ..lots.boundary[0].clone() };
     let text = summary(&record, &TextStyle::default());
     assert_snapshot!(between(&text, "Spread by level (share", "Outlying groups"), @"
-    Spread by level (share: part of the variance of a test)
+    Spread by level (share: part of the variance of the states)
       state  spread           number  std dev                     share
       bias   lot to lot            3        0 at zero (boundary)    0 %
              chip to chip          9     2.00 ± 0.15               80 %

@@ -1,5 +1,6 @@
 //! The tests of what is shown, one program.
 
+mod advice;
 mod check;
 mod choices;
 mod common;

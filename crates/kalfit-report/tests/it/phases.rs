@@ -38,6 +38,8 @@ fn each_phase_has_sections_of_its_own() {
         score_statistic: Some(9.0),
         p_value: Some(p),
         expected_change: Some(0.2),
+        likelihood_ratio: (p < 0.02).then_some(6.8),
+        likelihood_ratio_p_value: (p < 0.02).then_some(0.009),
     };
     fit.constraints = vec![constraint("mean[tilt]", 0.002)];
     insta::assert_snapshot!(summary(&fit, &TextStyle::default()), @"
@@ -71,8 +73,8 @@ fn each_phase_has_sections_of_its_own() {
       Nothing needs attention: the fit converged and the model describes the data.
 
     Constraints (score test of each one separately)
-      element             held at  dℓ/dvalue  p-value  if freed
-      flight: mean[tilt]        0        1.5    0.002       0.2
+      element             held at  dℓ/dvalue  p-value  p of refit  if freed
+      flight: mean[tilt]        0        1.5    0.002       0.009       0.2
       The data contradict the constraint on flight: mean[tilt] (5 % level).
 
     Outlying tests

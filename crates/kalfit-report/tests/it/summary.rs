@@ -152,10 +152,12 @@ fn constraints_show_what_they_cost() {
         without them changes the estimates.
 
     Constraints (score test of each one separately)
-      element                               held at  dℓ/dvalue  p-value  if freed
-      mean[scale_factor]                          0      -12.3    0.008    -0.457
-      covariance[scale_factor, bias]              0      -12.3     0.43    -0.457
-      covariance[temperature_coefficient,         0          -        -         -
+      element                    held at  dℓ/dvalue  p-value  p of refit  if freed
+      mean[scale_factor]               0      -12.3    0.008       0.009    -0.457
+      covariance[scale_factor,         0      -12.3     0.43           -    -0.457
+      bias]
+      covariance[temperature_co        0          -        -           -         -
+      efficient,
       temperature_coefficient]
       The data contradict the constraint on mean[scale_factor] (5 % level, after
         Bonferroni correction for 2 tests).
@@ -405,9 +407,8 @@ fn what_did_not_converge_says_so_first() {
     Log-likelihood -875.97, 6 free parameters, AIC 1763.94, BIC 1783.10.
 
     What to do next
-      Do not use these figures. Give start values for the free parameters, allow
-        more iterations (`--max-iterations`), or use a simpler model: fewer states,
-        or a diagonal covariance.
+      Do not use these figures. Give start values for the free parameters, or use a
+        simpler model: fewer states, or a diagonal covariance.
 
     Outlying tests
       No test is an outlier: the smallest of 4 p-values is 0.02 (test 310), or 0.08

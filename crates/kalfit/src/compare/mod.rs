@@ -9,6 +9,8 @@ mod nested;
 mod tests;
 mod validations;
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 
 pub use data::CompareError;
@@ -78,10 +80,13 @@ pub struct ComparedFit {
     pub delta_bic: Option<f64>,
     /// exp(-ΔAIC/2) over the sum of these; null where `delta_aic` is.
     pub akaike_weight: Option<f64>,
-    /// Sum over tests of the log density of each at the fit without it; null where a test has none.
+    /// Sum over tests of the log density of each at μ and Σ of the fit without it; null where a test has none.
     pub log_predictive_density: Option<f64>,
+    /// Whether the fit has free parameters, which in `log_predictive_density` have their values from all tests.
+    #[serde(default)]
+    pub parameters_held: bool,
     /// The largest log predictive density of the fits less this one, and the standard error of the difference over
-    /// tests.
+    /// tests; null where the fits differ in their free parameters.
     pub predictive_difference: Option<PredictiveDifference>,
     /// The optimality certificate holds.
     pub converged: bool,
@@ -195,6 +200,7 @@ fn fit((name, fit): &(String, FitRecord)) -> ComparedFit {
         delta_bic: None,
         akaike_weight: None,
         log_predictive_density: own_densities(fit).map(|all| all.iter().map(|(_, density)| density).sum()),
+        parameters_held: !free_parameters(fit).is_empty(),
         predictive_difference: None,
         converged: fit.converged,
         reason: fit.reason.clone(),
@@ -267,10 +273,21 @@ fn own_densities(fit: &FitRecord) -> Option<Vec<(&str, f64)>> {
     Some(all)
 }
 
+/// Name and level of each free parameter.
+fn free_parameters(fit: &FitRecord) -> BTreeSet<(&str, Option<&str>)> {
+    let free = fit.parameters.iter().filter(|parameter| !parameter.fixed);
+    free.map(|parameter| (parameter.name.as_str(), parameter.level.as_deref())).collect()
+}
+
 /// Differences of log predictive densities to the best fit; predictive densities can be compared whatever criterion was
-/// maximised.
+/// maximised. A fit without a test keeps the parameters of all tests, so that each free parameter flatters the density
+/// of the test: only fits with the same free parameters compare.
 fn predictive(fits: &mut [ComparedFit], records: &[&FitRecord]) {
-    if records.iter().any(|fit| fit.log_likelihood_kind != records[0].log_likelihood_kind) {
+    let first = records[0];
+    let is_other = |fit: &&FitRecord| {
+        fit.log_likelihood_kind != first.log_likelihood_kind || free_parameters(fit) != free_parameters(first)
+    };
+    if records.iter().any(is_other) {
         return;
     }
     let all: Vec<Option<Vec<(&str, f64)>>> = records.iter().map(|fit| own_densities(fit)).collect();

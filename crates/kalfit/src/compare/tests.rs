@@ -83,6 +83,13 @@ fn a_fixed_mean_lies_within_a_free_one() {
 }
 
 #[test]
+fn predictions_at_other_free_parameters_are_not_ranked() {
+    let all = compared(vec![record(-21.0, &["sigma"]), record(-20.0, &[])]).expect("the same data");
+    assert_eq!([&all.fits[0], &all.fits[1]].map(|fit| fit.parameters_held), [false, true]);
+    assert!(all.fits.iter().all(|fit| fit.log_predictive_density.is_some() && fit.predictive_difference.is_none()));
+}
+
+#[test]
 fn a_variance_at_zero_has_an_upper_bound_of_the_p_value() {
     let all = compared(vec![record(-20.0, &[]), record(-23.0, &["variance"])]).expect("the same data");
     let [test] = &all.nested[..] else { panic!("one test: {:?}", all.nested) };

@@ -137,13 +137,17 @@ fn notes(curves: &[CurveRecord]) -> Vec<String> {
     let mut zero: Vec<String> = curves.iter().flat_map(|curve| &curve.zero).map(|name| format!("`{name}`")).collect();
     zero.sort();
     zero.dedup();
+    let has_records = curves.iter().any(|curve| curve.tests.is_some());
     if !zero.is_empty() {
         notes.push(format!(
             "taken as zero for the curve of the model: {}; `--at COLUMN=VALUE` gives them another value",
             zero.join(", ")
         ));
+        if has_records {
+            notes.push("the records contain what these columns add through states: where a column varies within a test, the records lie above the curve of the model".to_owned());
+        }
     }
-    if curves.iter().any(|curve| curve.tests.is_some()) {
+    if has_records {
         notes.push("the curve of the records uses measured values minus known inputs, and all pairs of adjacent spans without a gap in all tests; its interval follows from the number of independent spans".to_owned());
     }
     notes

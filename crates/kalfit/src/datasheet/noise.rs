@@ -1,7 +1,7 @@
 //! Noise of measurements, and motion of states: random walks and Gauss-Markov pairs.
 
 use crate::datasheet::figure::{FigureForm, Reader, ShownFigure};
-use crate::datasheet::units::{ShownUnit, UnitQuantity};
+use crate::datasheet::units::{ShownUnit, UnitQuantity, shown_time};
 use kalfit_apply::export::ExportError;
 use kalfit_model::{Expression, Initial, Linear, Model, Motion};
 use kalfit_record::EntryRecord;
@@ -171,8 +171,9 @@ impl<'a> EntryCollector<'a> {
         let (name, unit) = (model.states[i].name.clone(), ShownUnit::shown(model.states[i].unit.as_deref()));
         let figures = self.reader.figures(of, step, &|v| unit.factor * sigma(v))?;
         self.add(&SIGMA, ("state", &name), &unit.label, figures);
-        let figures = self.reader.figures(&of[..1], step, tau)?;
-        let time = if model.clock.time.is_some() { model.clock.unit.clone() } else { Some("steps".to_owned()) };
+        let time = if model.clock.time.is_some() { model.clock.unit.as_deref() } else { Some("steps") };
+        let (factor, time) = shown_time(time);
+        let figures = self.reader.figures(&of[..1], step, &|v| factor * tau(v))?;
         self.add(&TAU, ("state", &name), &time, figures);
         Ok(())
     }

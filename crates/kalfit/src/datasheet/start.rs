@@ -7,6 +7,10 @@ use kalfit_record::{EntryRecord, FitRecord, PhaseRecord};
 
 /// Name of the level of the tests themselves.
 const TESTS: &str = "tests";
+/// Definition of the standard deviation over tests that belong to no units.
+const WITHOUT_UNITS: &str = "standard deviation from test to test; it is the repeatability of IEEE 528 and 647, the agreement of one unit's values over turn-ons under the same conditions, only if all tests are of one unit";
+/// Definition of the standard deviation over tests of one unit.
+const WITHIN_UNIT: &str = "standard deviation from test to test of one unit, the repeatability of IEEE 528 and 647 if the tests are under the same conditions";
 
 /// Entries of the estimated states of a phase, with intervals from `record` where there is a record.
 pub(super) fn entries(
@@ -105,11 +109,13 @@ impl StateEntries<'_> {
             return None;
         }
         let (suffix, definition) = match level.as_deref() {
-            None => (String::new(), "standard deviation from test to test".to_owned()),
-            Some(TESTS) => (", run to run".to_owned(), "standard deviation from test to test of one unit".to_owned()),
+            None => (String::new(), WITHOUT_UNITS.to_owned()),
+            Some(TESTS) => (", run to run".to_owned(), WITHIN_UNIT.to_owned()),
             Some(level) => (
                 format!(", unit to unit ({level})"),
-                format!("standard deviation, from one `{level}` to the next, of the part that its tests share"),
+                format!(
+                    "standard deviation, from one `{level}` to the next, of the part that its tests share; it is a spread of the population, no repeatability in the sense of IEEE 528 and 647"
+                ),
             ),
         };
         let element = format!("std_dev[{}]", self.name);

@@ -2,6 +2,8 @@
 
 use std::f64::consts::PI;
 
+use crate::time_unit;
+
 /// m/s² in one g.
 const GRAVITY: f64 = 9.80665;
 
@@ -59,7 +61,7 @@ impl ShownUnit {
     /// Factor and label of white noise in this unit, integrated over time, for a standard deviation of one and steps of
     /// one unit of time: a rate gives an angle, an acceleration a velocity.
     pub(super) fn white(&self, time: Option<&str>) -> (f64, Option<String>) {
-        match (self.quantity, hours(time)) {
+        match (self.quantity, time.and_then(time_unit::hours)) {
             (UnitQuantity::Rate, Some(hours)) => (self.factor * hours.sqrt(), Some("deg/sqrt(h)".to_owned())),
             (UnitQuantity::Acceleration, Some(hours)) => {
                 (self.factor * 1e-6 * GRAVITY * 3600.0 * hours.sqrt(), Some("m/s/sqrt(h)".to_owned()))
@@ -70,7 +72,7 @@ impl ShownUnit {
 
     /// Factor and label of the density of noise that drives a state in this unit.
     pub(super) fn walk(&self, time: Option<&str>) -> (f64, Option<String>) {
-        match (self.quantity, hours(time)) {
+        match (self.quantity, time.and_then(time_unit::hours)) {
             (UnitQuantity::Other | UnitQuantity::Part, _) | (_, None) => (self.factor, self.density_label("/", time)),
             (_, Some(hours)) => (self.factor / hours.sqrt(), self.density_label("/", Some("h"))),
         }
@@ -81,6 +83,15 @@ impl ShownUnit {
     }
 }
 
+/// Factor and label of a time in a unit of the model: parts of a second are shown in seconds.
+pub(super) fn shown_time(unit: Option<&str>) -> (f64, Option<String>) {
+    const SECOND: i128 = 1_000_000_000;
+    match unit.and_then(time_unit::nanoseconds) {
+        Some(part) if part < SECOND => (part as f64 / SECOND as f64, Some("s".to_owned())),
+        _ => (1.0, unit.map(str::to_owned)),
+    }
+}
+
 /// Unit of a rate or an acceleration per something else, such as `deg/s/g`.
 fn rate_per_quantity(label: &str) -> Option<ShownUnit> {
     let rates = ["deg/h", "deg/s", "rad/s", "m/s^2", "mg", "ug", "g"];
@@ -88,16 +99,6 @@ fn rate_per_quantity(label: &str) -> Option<ShownUnit> {
     let unit = ShownUnit::shown(Some(own));
     let label = Some(format!("{}{}", unit.label?, rest.strip_prefix('/').map(|rest| format!("/{rest}"))?));
     Some(ShownUnit { quantity: UnitQuantity::Other, factor: unit.factor, label })
-}
-
-/// Number of hours in a unit of time.
-fn hours(time: Option<&str>) -> Option<f64> {
-    match time.map(str::trim) {
-        Some("s") => Some(1.0 / 3600.0),
-        Some("min") => Some(1.0 / 60.0),
-        Some("h") => Some(1.0),
-        _ => None,
-    }
 }
 
 #[cfg(test)]
@@ -122,6 +123,11 @@ mod tests {
         let (factor, label) = ShownUnit::shown(Some("deg/s")).walk(Some("s"));
         near::relative("walk of a rate", factor, 3600.0 * 60.0, 1e-9);
         assert_eq!(label.as_deref(), Some("deg/h/sqrt(h)"));
+        // 1 rad/s at 1 ns, and a walk of 1 rad/s per square root of a nanosecond
+        let rate = ShownUnit::shown(Some("rad/s"));
+        near::relative("ns, white", rate.white(Some("ns")).0, 180.0 / PI * 3600.0 / 3.6e12_f64.sqrt(), 1e-9);
+        near::relative("ns, walk", rate.walk(Some("ns")).0, 180.0 / PI * 3600.0 * 3.6e12_f64.sqrt(), 1e-9);
+        near::relative("d, walk", rate.walk(Some("d")).0, 180.0 / PI * 3600.0 / 24.0_f64.sqrt(), 1e-9);
         near::relative("rad", ShownUnit::shown(Some("rad")).walk(Some("h")).0, 57.29577951308232, 1e-9);
         near::relative("rad/s", ShownUnit::shown(Some("rad/s")).factor, 206264.80624709636, 1e-9);
     }
@@ -131,7 +137,7 @@ mod tests {
         let unit = ShownUnit::shown(Some("furlong"));
         assert_eq!((unit.factor, unit.label.as_deref()), (1.0, Some("furlong")));
         assert_eq!(unit.walk(Some("s")), (1.0, Some("furlong/sqrt(s)".to_owned())));
-        assert_eq!(ShownUnit::shown(Some("deg/s")).white(Some("day")).1.as_deref(), Some("deg/h*sqrt(day)"));
+        assert_eq!(ShownUnit::shown(Some("deg/s")).white(Some("frame")).1.as_deref(), Some("deg/h*sqrt(frame)"));
         assert_eq!(ShownUnit::shown(None).walk(Some("s")).1, None);
         let unit = ShownUnit::shown(Some("deg/s/g"));
         assert_eq!((unit.factor, unit.label.as_deref()), (3600.0, Some("deg/h/g")));

@@ -3,6 +3,7 @@
 mod boundary_laws;
 mod certified;
 mod chains;
+mod constraints;
 mod dense;
 mod dynamic_record;
 mod exact;
@@ -16,6 +17,7 @@ mod linear;
 mod long_records;
 mod mean_limits;
 mod meta_analysis;
+mod misfit;
 mod observability;
 mod passes;
 mod phased;

@@ -171,7 +171,7 @@ impl ColumnwiseRows for CsvGrid<'_> {
         let CsvForm { file, wanted, .. } = self.form;
         for (row, cell) in self.column(column).enumerate() {
             match wanted.tokens.number(cell) {
-                Ok(time) if !time.is_nan() => put(Moment::Number(time)),
+                Ok(time) if !time.is_nan() => put(Moment::of_number(time, cell)),
                 number => {
                     let at = (file, self.numbering.of(row));
                     put(wanted.columns[column].moment(number, at, cell).map_err(|error| (row, error))?);

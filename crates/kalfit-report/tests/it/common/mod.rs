@@ -76,6 +76,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
             rounding: 1e-13,
         },
         model_check: None,
+        misfit: None,
         solver: SolverRecord {
             method: "hybrid".into(),
             solver: "newton".into(),
@@ -236,6 +237,8 @@ pub(crate) fn constrained() -> FitRecord {
         score_statistic: Some(7.1),
         p_value: Some(p),
         expected_change: Some(-0.45678),
+        likelihood_ratio: (p < 0.02).then_some(6.8),
+        likelihood_ratio_p_value: (p < 0.02).then_some(0.009),
     };
     record.constraints = vec![
         constraint("mean[scale_factor]", 0.0077),

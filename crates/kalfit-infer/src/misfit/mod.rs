@@ -1,0 +1,218 @@
+//! Misfit that tests have in common.
+//!
+//! Each test may look well by itself while all tests deviate from the model in the same way: a sensor that saturates, a
+//! response that bends, a drift of the bench. Under the model the measurements of all tests are y ~ N(Xβ, V), with V
+//! from processes, noises, Σ and the levels of groups. A mean term Dγ that the model lacks is tested by its score at
+//! γ = 0, with the mean coordinates β eliminated:
+//!
+//! ```text
+//! s = D'V⁻¹r,   I = D'V⁻¹D - D'V⁻¹X (X'V⁻¹X)⁻ X'V⁻¹D,   T = s'I⁻s ~ χ²_k,   k = rank of I
+//! F = (T/k) / ((r'V⁻¹r - T)/(n - q - k)) ~ F(k, n - q - k),   q = rank of X
+//! ```
+//!
+//! F allows for noise levels that were estimated from the same data: a common misfit makes them large. Columns of L⁻¹,
+//! V = LL', come from the filter itself: its standardised innovations are linear in the measurements, so that the
+//! innovations of y + D less those of y are L⁻¹D.
+
+mod columns;
+mod levels;
+mod normality;
+mod probe;
+mod score;
+mod steps;
+mod terms;
+mod unlike;
+mod wrong_rows;
+
+pub use normality::Normality;
+pub use terms::TermKind;
+pub use unlike::UnlikeTest;
+pub use wrong_rows::WrongRow;
+
+use kalfit_filter::innovations::InnovationFilter;
+use kalfit_filter::reduce::ReduceError;
+use kalfit_model::{Alpha, Grouping, PhasedModel, PhasedTest, Population, TestId};
+
+use columns::Columns;
+use levels::Unit;
+use score::Score;
+use steps::StepMeans;
+use terms::{Term, candidates};
+use wrong_rows::LargeInnovations;
+
+/// Most rows that the filter passes, over all terms: enough to find a tenth of a standard deviation in every term, and a
+/// few tenths of a second. Of larger ensembles units are taken at equal distances in the order of the data.
+const MAX_ROW_PASSES: usize = 4_000_000;
+/// Rows that the filter takes together.
+const ROWS_OF_A_BATCH: usize = 1 << 14;
+
+/// Where a check of an ensemble is made.
+#[derive(Debug, Clone, Copy)]
+pub struct FittedEnsemble<'a> {
+    /// The model.
+    pub model: &'a PhasedModel,
+    /// α of the fit.
+    pub alpha: &'a Alpha,
+    /// μ and Σ of the tests and of the levels of groups.
+    pub population: &'a Population,
+    /// All tests.
+    pub tests: &'a [PhasedTest],
+    /// The groups of the tests; `None` without levels.
+    pub grouping: Option<&'a Grouping>,
+}
+
+/// What the tests have in common that the model does not describe.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Misfit {
+    /// Number of tests that were looked at.
+    pub tests: usize,
+    /// Number n of standardised innovations of these tests under the law of the whole model, levels included.
+    pub count: usize,
+    /// r'V⁻¹r; χ²_n when the model is right.
+    pub nis: f64,
+    /// Score tests of mean terms.
+    pub terms: Vec<TermTest>,
+    /// Whether the innovations are normal; `None` for fewer than 20.
+    pub normality: Option<Normality>,
+    /// Distance of each test from the other tests of its groups; empty without levels.
+    pub unlike: Vec<UnlikeTest>,
+    /// Measurements that contradict the others of their test: at most one of each test that has a large innovation.
+    pub wrong_rows: Vec<WrongRow>,
+    /// Number of innovations of each test and their square sum under the law of the whole model; empty without levels.
+    pub by_test: Vec<(TestId, usize, f64)>,
+}
+
+/// The test of one mean term.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TermTest {
+    /// Index of the phase.
+    pub phase: usize,
+    /// Index of the measurement in the model of the phase.
+    pub measurement: usize,
+    /// Which term.
+    pub kind: TermKind,
+    /// F.
+    pub statistic: f64,
+    /// k, and n - q - k.
+    pub degrees_of_freedom: [usize; 2],
+    /// Probability of an F as large as this.
+    pub p_value: f64,
+    /// The part of the term that deviates most.
+    pub largest: Option<Deviation>,
+}
+
+/// The deviation of one part of a term.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Deviation {
+    /// Where: least and largest value of the input, step or time; equal for a single value.
+    pub at: [f64; 2],
+    /// The deviation, in the unit of the measurement, for a term of kind [`TermKind::Steps`] in standard deviations.
+    pub value: f64,
+    /// Its standard deviation if the model is right.
+    pub std_dev: f64,
+}
+
+/// Looks for misfit that tests have in common. Tests whose innovations do not exist, such as tests given by estimates or
+/// reductions, are left out.
+///
+/// # Errors
+/// The model has no innovations at this estimate at all, for the reasons of
+/// [`InnovationFilter::new`].
+pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Result<Misfit, ReduceError> {
+    let (model, tests) = probe::probed(of.model, of.tests);
+    let units = levels::units(&tests, of.grouping);
+    let terms = candidates(&model, of.model, &tests);
+    let mut found = Misfit::default();
+    let Some(large) = whole(of, (&model, &tests, &units), &mut found, &mut |share| go_on(0.5 * share))? else {
+        return Ok(Misfit::default());
+    };
+    let columns = Columns::new(&model, of, &terms)?;
+    let units = chosen(units, &tests, columns.passes());
+    let (mut score, mut steps) = (Score::new(&columns, &terms), StepMeans::new(&columns));
+    let all = units.len().max(1) as f64;
+    for (done, batch) in batches(&units, &tests) {
+        if !go_on(0.5 + 0.5 * done as f64 / all) {
+            return Ok(Misfit::default());
+        }
+        for mut unit in columns.of_units(batch, &tests) {
+            found.tests += unit.tests.len();
+            levels::whiten(&mut unit, of.grouping, columns.roots(), columns.states());
+            let whitened = score.of_means(&unit);
+            score.add(&unit, &whitened);
+            steps.add(&unit, &whitened);
+        }
+    }
+    found.terms = score.tests(&terms);
+    found.terms.extend(steps.tests(&score));
+    let together = of.population.together(model.dimension());
+    found.wrong_rows = large.wrong(&InnovationFilter::new(&model, of.alpha, &together)?, &model, &tests);
+    Ok(found)
+}
+
+/// Looks at every test without terms: the size and the law of innovations, tests unlike those of their groups, and large
+/// innovations; `None` when the check is not to go on.
+fn whole(
+    of: &FittedEnsemble<'_>,
+    (model, tests, units): (&PhasedModel, &[PhasedTest], &[Unit]),
+    found: &mut Misfit,
+    go_on: &mut dyn FnMut(f64) -> bool,
+) -> Result<Option<LargeInnovations>, ReduceError> {
+    let columns = match of.grouping {
+        Some(_) => Columns::new(model, of, &[])?,
+        None => Columns::residuals_alone(model, of)?,
+    };
+    let (mut large, mut values) = (LargeInnovations::default(), Vec::new());
+    let all = units.len().max(1) as f64;
+    for (done, batch) in batches(units, tests) {
+        if !go_on(done as f64 / all) {
+            return Ok(None);
+        }
+        for mut unit in columns.of_units(batch, tests) {
+            if let Some(grouping) = of.grouping {
+                found.unlike.extend(unlike::distances(&unit, grouping, columns.roots(), columns.states()));
+                levels::whiten(&mut unit, of.grouping, columns.roots(), columns.states());
+                found.by_test.extend(unit.squares());
+            }
+            large.add(&unit);
+            values.extend(unit.residuals());
+        }
+    }
+    (found.count, found.nis) = (values.len(), values.iter().map(|value| value * value).sum());
+    found.normality = Normality::of(&values);
+    Ok(Some(large))
+}
+
+/// The units to look at.
+fn chosen(units: Vec<Unit>, tests: &[PhasedTest], passes: usize) -> Vec<Unit> {
+    let rows: usize = units.iter().map(|unit| unit.rows(tests)).sum();
+    let every = (rows * passes).div_ceil(MAX_ROW_PASSES).max(1);
+    units.into_iter().step_by(every).collect()
+}
+
+/// (number of units before, units) of each batch.
+fn batches<'u>(units: &'u [Unit], tests: &[PhasedTest]) -> Vec<(usize, &'u [Unit])> {
+    let (mut all, mut from, mut rows) = (Vec::new(), 0, 0);
+    for (k, unit) in units.iter().enumerate() {
+        rows += unit.rows(tests);
+        if rows >= ROWS_OF_A_BATCH || k + 1 == units.len() {
+            all.push((from, &units[from..=k]));
+            (from, rows) = (k + 1, 0);
+        }
+    }
+    all
+}
+
+/// Terms by measurement, without the borrowed parts.
+impl Term {
+    fn tested(&self, statistic: score::FTest, largest: Option<Deviation>) -> TermTest {
+        TermTest {
+            phase: self.phase,
+            measurement: self.measurement,
+            kind: self.kind,
+            statistic: statistic.value,
+            degrees_of_freedom: statistic.degrees_of_freedom,
+            p_value: statistic.p_value(),
+            largest,
+        }
+    }
+}
