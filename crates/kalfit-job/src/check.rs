@@ -102,7 +102,7 @@ fn started(
     notes.extend(level_notes(model, &counts));
     notes.extend(Multipliers::among(&spec.model, &tests).notes());
     let mut parameters = parameters(model, &slots, &counts);
-    let starts = starts((&spec.model, &slots), &tests, &reading, work)?;
+    let starts = starts((&spec.model, &slots), &tests, &reading)?;
     for (slot, &start) in slots.slots().iter().zip(&starts) {
         let name = &model.parameters[slot.parameter].name;
         let own = parameters.iter_mut().find(|counts| counts.name == *name && counts.start.is_none());
@@ -119,12 +119,11 @@ fn started(
     Ok((parameters, checked))
 }
 
-/// Where a fit would begin: at the start values that are given, and those that it works out.
+/// The start values that are given, and a first guess from the data where one is not.
 fn starts(
     (model, slots): (&PhasedModel, &Slots),
     tests: &[PhasedTest],
     reading: &DataReading,
-    work: &mut JobWork<'_>,
 ) -> Result<Vec<f64>, Failure> {
     let given = |slot: &kalfit::model::Slot| match model.shared().parameters[slot.parameter].value {
         Value::Free { start } => start,
@@ -134,8 +133,7 @@ fn starts(
         return Ok(starts);
     }
     let settings = kalfit::dynamic::Settings::default();
-    let found = kalfit::dynamic::start_values(model, &reading.labels, tests, &settings, work);
-    work.go_on()?;
+    let found = kalfit::dynamic::start_values(model, &reading.labels, tests, &settings);
     found.map_err(|error| dynamic::failure(error, reading))
 }
 

@@ -217,8 +217,9 @@ fn best_end(ends: &[SearchEnd]) -> Option<usize> {
     highest(&above).or_else(|| highest(&|_| true))
 }
 
-/// Start values at which [`fit`] begins, one for each free value in the order of [`Slots`], given or computed from the
-/// tests.
+/// Start values of [`fit`], one for each free value in the order of [`Slots`]: the given one, or else a first guess from
+/// the sizes of measured values, their differences and the lengths of records. It costs a pass over the tests; [`fit`]
+/// improves the guess by the likelihood before its first step.
 ///
 /// # Errors
 /// The errors of [`fit`] before the first step.
@@ -227,13 +228,11 @@ pub fn start_values(
     labels: &Labels,
     tests: &[PhasedTest],
     settings: &Settings,
-    progress: &mut dyn Progress,
 ) -> Result<Vec<f64>, DynamicError> {
     let slots = Slots::in_phases(model, labels, tests);
     check_supported(model, tests, &slots, settings)?;
     let objective = ProfileLikelihood::new(model, tests, &slots, settings);
-    let starts = start::starts(&objective, progress)?;
-    starts.first().map(|first| objective.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
+    Ok(objective.values(&start::guess(&objective, true)))
 }
 
 /// Refuses tests and settings that have no meaning while parameters are free.

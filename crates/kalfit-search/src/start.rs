@@ -134,7 +134,7 @@ fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
 }
 
 /// First guess of each sought value; `use_given`: given start values are used.
-fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
+pub(crate) fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
     let scales = objective.scales();
     let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
     let one = |(s, slot): (usize, &kalfit_model::Slot)| {

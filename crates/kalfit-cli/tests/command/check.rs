@@ -225,7 +225,7 @@ fn check_reads_data_for_parameters_without_values() {
 
     Free parameters
       parameter  free values  tests each  start
-      sigma      1            all 3       0.117, from the data
+      sigma      1            all 3       0.469, from the data
 
     Observability
       state  seen by  determined by  largest share

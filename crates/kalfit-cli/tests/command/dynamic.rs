@@ -135,7 +135,7 @@ fn check_says_why_it_cannot_examine_the_data() {
     assert_snapshot!(from(&said(&folder, "check m.toml d.csv"), "Free parameters"), @"
     Free parameters
       parameter  free values  one for each  tests each  start
-      s          2            lot           2 to 3      0.129, from the data
+      s          2            lot           2 to 3      0.517, from the data
       Levels of s: 1 in 3 tests and 2 in 2 tests.
 
     Observability
