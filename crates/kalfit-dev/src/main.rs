@@ -28,6 +28,8 @@ mod peers;
 #[cfg(feature = "measure")]
 mod seed;
 #[cfg(feature = "measure")]
+mod verdicts;
+#[cfg(feature = "measure")]
 mod whiteness;
 
 #[cfg(not(feature = "measure"))]
@@ -38,7 +40,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 /// What is not in the list of a program without the feature.
-const MEASURE: &str = "Measurements, which are built in release on first use: coverage, maxima, false-alarms, fuzz-in-process, mutants, whiteness, \
+const MEASURE: &str = "Measurements, which are built in release on first use: coverage, maxima, false-alarms, verdicts, fuzz-in-process, mutants, whiteness, \
                        bench, peers. \
                        `cargo dev coverage --help` describes one.";
 

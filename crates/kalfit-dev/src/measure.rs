@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Subcommand;
 
-use crate::{bench, coverage, false_alarms, fuzz, maxima, peers, whiteness};
+use crate::{bench, coverage, false_alarms, fuzz, maxima, peers, verdicts, whiteness};
 
 /// What is measured here allocates as the command does.
 #[global_allocator]
@@ -25,6 +25,9 @@ pub(crate) enum MeasureTask {
     Maxima(maxima::MaximaOptions),
     /// How often the checks of a fit reject a correct model: tables of `book/src/guide/coverage.md`.
     FalseAlarms(false_alarms::FalseAlarmOptions),
+    /// How often the check of a fit doubts correct models of every kind, and finds faults that are planted in the data: tables of
+    /// `book/src/guide/coverage.md`.
+    Verdicts(verdicts::VerdictOptions),
     /// Simulates the distribution of the whiteness statistic: the table from which p-values of innovations come.
     Whiteness,
     /// Times the reduction and the iterations of the solver against the measured peak of the machine.
@@ -45,6 +48,7 @@ pub(crate) fn run(task: MeasureTask) -> ExitCode {
         MeasureTask::Coverage { ensembles, only } => coverage::run(ensembles, &only),
         MeasureTask::Maxima(options) => maxima::run(&options),
         MeasureTask::FalseAlarms(options) => false_alarms::run(&options),
+        MeasureTask::Verdicts(options) => verdicts::run(&options),
         MeasureTask::Whiteness => whiteness::run(),
         MeasureTask::Bench { here: true } => bench::run(),
         MeasureTask::Bench { here: false } => bench::build_and_run(),
