@@ -138,6 +138,15 @@ class Fit(FitRecord):
         numbers += ["likelihood_ratio", "likelihood_ratio_p_value"]
         return data_frame(self._record["constraints"], ["element", "phase", "level"], numbers, [])
 
+    def rows_frame(self) -> Any:
+        """Measurements that contradict the others of their test as a ``pandas.DataFrame`` with a row for each, as ``kalfit fit --rows``
+        writes them: ``test``, ``phase``, ``file``, ``measurement``, ``row``, ``time``, ``deviation``, ``std_dev``, ``p_value`` and
+        ``adjusted_p_value``. This takes pandas.
+        """
+        rows = (self._record.get("misfit") or {}).get("wrong_rows", [])
+        numbers = ["row", "time", "deviation", "std_dev", "p_value", "adjusted_p_value"]
+        return data_frame(rows, ["test", "phase", "file", "measurement"], numbers, [])
+
     def _model_of(self, model: Any) -> tuple[Any, Any]:
         """A model, or that of the fit with what was set of it."""
         if model is not None:

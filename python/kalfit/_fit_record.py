@@ -162,6 +162,14 @@ class FitRecord:
         return str(self._record["reason"])
 
     @property
+    def misfit(self) -> dict[str, Any] | None:
+        """What tests have in common that the model does not describe: score tests of mean terms (``terms``), ``normality`` of the
+        innovations, tests ``unlike`` the others of their groups, and ``wrong_rows``, measurements that contradict the others of
+        their test. None without innovations."""
+        result: dict[str, Any] | None = copy.deepcopy(self._record.get("misfit"))
+        return result
+
+    @property
     def model_check(self) -> dict[str, Any]:
         """Whether the model describes the data: ``verdict`` (passed, doubtful, not checked), the ``findings`` that speak
         against it and ``remarks`` that limit its answer, each with ``kind`` and ``text``."""

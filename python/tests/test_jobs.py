@@ -129,6 +129,10 @@ def test_estimates_and_constraints_are_frames():
     constraints = kalfit.fit(*BENCH).constraints_frame()
     assert list(constraints["element"]) == [one["element"] for one in fit.constraints]
     assert constraints["p_value"].dtype == float
+    fitted = kalfit.fit(*BENCH)
+    rows = fitted.rows_frame()
+    assert list(rows["test"]) == [row["test"] for row in fitted.misfit["wrong_rows"]]
+    assert rows["deviation"].dtype == float and fitted.misfit["innovations"] == fitted.data["observations"]
     phases = kalfit.fit(*PHASES).parameters_frame()
     assert "align: mean[drift]" in set(phases["name"])
 

@@ -182,6 +182,10 @@ pub(crate) struct FitArgs {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     pub(crate) constraints: Option<PathBuf>,
 
+    /// File for a table of the measurements that contradict the others of their test
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
+    pub(crate) rows: Option<PathBuf>,
+
     /// How free dynamic parameters are estimated
     #[arg(long, help_heading = SEARCH, value_parser = one_of(words::METHODS), default_value = words::METHODS[0].word)]
     pub(crate) method: MethodChoice,

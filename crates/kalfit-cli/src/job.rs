@@ -198,7 +198,12 @@ impl From<FitArgs> for FitJob {
             data: data(args.data),
             out: args.out,
             report: args.report,
-            tables: FitTables { tests: args.tests, parameters: args.parameters, constraints: args.constraints },
+            tables: FitTables {
+                tests: args.tests,
+                parameters: args.parameters,
+                constraints: args.constraints,
+                rows: args.rows,
+            },
             settings,
             search,
             method: args.method,

@@ -9,16 +9,15 @@ use crate::failure::Failure;
 use crate::job::FitJob;
 use crate::output::{FileContents, OutputFile, OutputTarget, PendingFile};
 use crate::table::OutputTable;
+use crate::tables::{self, FitTableKind};
 use crate::work::JobWork;
-use crate::{report, tables, write};
+use crate::{report, write};
 
 /// The files that were asked for, found sound before the work began.
 pub(crate) struct FitFiles {
     out: Option<OutputFile>,
     page: Option<OutputFile>,
-    tests: Option<OutputTable>,
-    parameters: Option<OutputTable>,
-    constraints: Option<OutputTable>,
+    tables: Vec<(FitTableKind, OutputTable)>,
     /// Also of a search that was stopped.
     keeps_stopped: bool,
 }
@@ -26,13 +25,16 @@ pub(crate) struct FitFiles {
 impl FitFiles {
     /// Checks that all can be written, each to a place of its own, and that none is read.
     pub(crate) fn prepare(job: &FitJob, read: &[&Path]) -> Result<FitFiles, Failure> {
-        let table = |path: &Option<PathBuf>| OutputTable::prepare(&path.clone().into(), read);
+        let table = |(kind, path): (FitTableKind, &Option<PathBuf>)| {
+            let table = OutputTable::prepare(&path.clone().into(), read)?;
+            Ok(table.map(|table| (kind, table)))
+        };
+        let tables: Result<Vec<Option<(FitTableKind, OutputTable)>>, Failure> =
+            job.tables.all().into_iter().map(table).collect();
         let files = FitFiles {
             out: OutputFile::results(job.out.as_deref(), read)?,
             page: OutputFile::prepare_for(("--report", FileContents::Page), job.report.as_deref(), read)?,
-            tests: table(&job.tables.tests)?,
-            parameters: table(&job.tables.parameters)?,
-            constraints: table(&job.tables.constraints)?,
+            tables: tables?.into_iter().flatten().collect(),
             keeps_stopped: job.keeps_stopped,
         };
         let named: Vec<&OutputFile> = files.named().collect();
@@ -44,14 +46,11 @@ impl FitFiles {
 
     /// Their places, in the order in which they are told.
     fn named(&self) -> impl Iterator<Item = &OutputFile> {
-        fn own(table: &Option<OutputTable>) -> Option<&OutputFile> {
-            match table {
-                Some(OutputTable { target: OutputTarget::Named(output), .. }) => Some(output),
-                _ => None,
-            }
-        }
-        let tables = [&self.tests, &self.parameters, &self.constraints].map(own);
-        [self.out.as_ref(), self.page.as_ref()].into_iter().chain(tables).flatten()
+        let tables = self.tables.iter().filter_map(|(_, table)| match &table.target {
+            OutputTarget::Named(output) => Some(output),
+            _ => None,
+        });
+        self.out.iter().chain(&self.page).chain(tables)
     }
 
     /// Writes them, each as soon as it can be made, so that what is done is not lost for what is not.
@@ -90,17 +89,7 @@ impl FitFiles {
 
     /// The tables, whole; none is in place yet.
     fn tables(&self, record: &FitRecord) -> Result<Vec<PendingFile<'_>>, Failure> {
-        let mut pending: Vec<PendingFile<'_>> = Vec::new();
-        if let Some(table) = &self.tests {
-            pending.push(tables::tests(table, record)?);
-        }
-        if let Some(table) = &self.parameters {
-            pending.push(tables::parameters(table, record)?);
-        }
-        if let Some(table) = &self.constraints {
-            pending.push(tables::constraints(table, record)?);
-        }
-        Ok(pending)
+        self.tables.iter().map(|(kind, table)| tables::pending(table, record, *kind)).collect()
     }
 }
 

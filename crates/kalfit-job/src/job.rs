@@ -13,6 +13,8 @@ use kalfit_data::{Datum, Input};
 use kalfit_report::PlotKind;
 use serde::Serialize;
 
+use crate::tables::FitTableKind;
+
 use crate::document::Document;
 use crate::export::format::ExportFormat;
 use crate::failure::Failure;
@@ -88,6 +90,20 @@ pub struct FitTables {
     pub parameters: Option<PathBuf>,
     /// What each constraint costs.
     pub constraints: Option<PathBuf>,
+    /// Measurements that contradict the others of their test.
+    pub rows: Option<PathBuf>,
+}
+
+impl FitTables {
+    /// Each table with its file.
+    pub(crate) fn all(&self) -> [(FitTableKind, &Option<PathBuf>); 4] {
+        [
+            (FitTableKind::Tests, &self.tests),
+            (FitTableKind::Parameters, &self.parameters),
+            (FitTableKind::Constraints, &self.constraints),
+            (FitTableKind::Rows, &self.rows),
+        ]
+    }
 }
 
 /// Run filters and write what they make of the data.

@@ -1,11 +1,12 @@
-//! What a fit found as tables: its tests, its parameters, its constraints. Their numbers are those of fit.json.
+//! What a fit found as tables: its tests, its parameters, its constraints, its suspicious rows. Their numbers are those of
+//! fit.json.
 
 use std::fs::File;
 
 use kalfit::FitRecord;
 use kalfit::record::{
     ConstraintRecord, DeletionRecord, Figure, FigureKind, FigureValue, InnovationRecord, PosteriorRecord,
-    QuantityRecord, TestRecord, WhitenessRecord,
+    QuantityRecord, TestRecord, WhitenessRecord, WrongRowRecord,
 };
 use kalfit_data::{CellKind, TableCell};
 
@@ -23,6 +24,8 @@ pub enum FitTableKind {
     Parameters,
     /// What each constraint costs.
     Constraints,
+    /// Measurements that contradict the others of their test.
+    Rows,
 }
 
 /// A table of a fit as `kalfit fit` writes it, as an Arrow IPC file without a name.
@@ -31,12 +34,24 @@ pub enum FitTableKind {
 /// The temporary file cannot be written.
 pub fn fit_table(record: &FitRecord, which: FitTableKind) -> Result<File, Failure> {
     let table = OutputTable::prepare(&TableDestination::Back, &[])?.expect("it is handed back");
-    let pending = match which {
-        FitTableKind::Tests => tests(&table, record)?,
-        FitTableKind::Parameters => parameters(&table, record)?,
-        FitTableKind::Constraints => constraints(&table, record)?,
-    };
-    Ok(pending.finish()?.expect("it has no name"))
+    Ok(pending(&table, record, which)?.finish()?.expect("it has no name"))
+}
+
+/// A table of a fit, whole, not yet in its place.
+pub(crate) fn pending<'t>(
+    table: &'t OutputTable,
+    record: &FitRecord,
+    which: FitTableKind,
+) -> Result<PendingFile<'t>, Failure> {
+    match which {
+        FitTableKind::Tests => tests(table, record),
+        FitTableKind::Parameters => listed(table, &QuantityRecord::FIGURES, &record.quantities()),
+        FitTableKind::Constraints => listed(table, &ConstraintRecord::FIGURES, &record.constraints),
+        FitTableKind::Rows => {
+            let rows = record.misfit.as_ref().map_or(&[][..], |misfit| &misfit.wrong_rows);
+            listed(table, &WrongRowRecord::FIGURES, rows)
+        }
+    }
 }
 
 type TableColumns = Vec<(String, CellKind)>;
@@ -87,18 +102,8 @@ fn listed<'t, R>(table: &'t OutputTable, list: &[Figure<R>], records: &[R]) -> R
     })
 }
 
-/// Means, spreads, correlations and dynamic parameters, a row for each number.
-pub(crate) fn parameters<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
-    listed(table, &QuantityRecord::FIGURES, &record.quantities())
-}
-
-/// Writes the table of constraints, a row for each constrained element.
-pub(crate) fn constraints<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
-    listed(table, &ConstraintRecord::FIGURES, &record.constraints)
-}
-
 /// What each test says: a row for each of its phases.
-pub(crate) fn tests<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
+fn tests<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
     let shape = TestTableColumns::of(record);
     table.write(&shape.head(), |writer| {
         for test in record.tests.iter() {
@@ -194,6 +199,7 @@ mod tests {
         assert_unique(names(head(of_test(None))));
         assert_unique(names(head(figures(&QuantityRecord::FIGURES, None))));
         assert_unique(names(head(figures(&ConstraintRecord::FIGURES, None))));
+        assert_unique(names(head(figures(&WrongRowRecord::FIGURES, None))));
     }
 
     #[test]

@@ -63,12 +63,13 @@ impl Results {
         py.detach(|| text(&self.record().quantities()))
     }
 
-    /// A table as the command writes it: `tests`, `parameters` or `constraints`.
+    /// A table as the command writes it: `tests`, `parameters`, `constraints` or `rows`.
     fn table(&self, py: Python<'_>, which: &str) -> PyResult<PyTable> {
         let which = match which {
             "tests" => FitTableKind::Tests,
             "parameters" => FitTableKind::Parameters,
             "constraints" => FitTableKind::Constraints,
+            "rows" => FitTableKind::Rows,
             _ => return Err(PyValueError::new_err(format!("there is no table `{which}`"))),
         };
         let file = py.detach(|| kalfit_job::fit_table(&self.record(), which)).map_err(|failure| exception(&failure))?;
