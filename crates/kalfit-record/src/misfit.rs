@@ -4,7 +4,8 @@ use kalfit_infer::misfit::{Misfit, TermKind, TermTest, UnlikeTest, WrongRow};
 use kalfit_model::PhasedModel;
 use serde::{Deserialize, Serialize};
 
-use crate::FitRecord;
+use crate::figure::figures;
+use crate::{FigureUnit, FitRecord};
 
 /// Misfit that tests have in common, by standardised innovations under the law of the whole model: processes, noises, Σ
 /// and the levels of groups.
@@ -44,29 +45,31 @@ pub struct UnlikeRecord {
     pub adjusted_p_value: f64,
 }
 
-/// A measurement that contradicts the other measurements of its test.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct WrongRowRecord {
-    /// Id of the test.
-    pub test: String,
-    /// Name of the phase.
-    pub phase: String,
-    /// Name of the measurement.
-    pub measurement: String,
-    /// Index of the data file, from 0.
-    pub file: u32,
-    /// Row in the file; of a text file the line.
-    pub row: u64,
-    /// Time of the step; null where the model has no times.
-    pub time: Option<f64>,
-    /// Deviation from what all other measurements of the test say, in the unit of the measurement.
-    pub deviation: f64,
-    /// Standard deviation of `deviation` when the model is right.
-    pub std_dev: f64,
-    /// Two-sided p-value of this measurement alone.
-    pub p_value: f64,
-    /// The p-value times the number of all measurements, at most 1.
-    pub adjusted_p_value: f64,
+figures! {
+    /// A measurement that contradicts the other measurements of its test.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    pub struct WrongRowRecord {
+        /// Id of the test.
+        pub test: String = figure { heading: "test" },
+        /// Name of the phase.
+        pub phase: String = figure {},
+        /// Data file; null for data without a file.
+        pub file: Option<String> = figure {},
+        /// Row in the file; of a text file the line.
+        pub row: usize = figure { heading: "row" },
+        /// Time of the step; null where the model has no times.
+        pub time: Option<f64> = figure {},
+        /// Name of the measurement.
+        pub measurement: String = figure { heading: "measurement" },
+        /// Deviation from what all other measurements of the test say, in the unit of the measurement.
+        pub deviation: f64 = figure {},
+        /// Standard deviation of `deviation` when the model is right.
+        pub std_dev: f64 = figure {},
+        /// Two-sided p-value of this measurement alone.
+        pub p_value: f64 = figure { unit: FigureUnit::Probability },
+        /// The p-value times the number of all measurements, at most 1.
+        pub adjusted_p_value: f64 = figure { heading: "p, all rows", unit: FigureUnit::Probability },
+    }
 }
 
 /// The score test of one mean term that the model lacks.
@@ -77,18 +80,20 @@ pub struct MisfitTermRecord {
     /// Name of the measurement.
     pub measurement: String,
     /// `levels` for a level of each value or interval of an input, `square` of an input, `change` of an input since the
-    /// row before, `record` for a level of each part of the record, `steps` for the mean innovation of each step or time
-    /// that tests share.
+    /// row before and to the row after, `record` for a level of each part of the record, `steps` for the mean innovation
+    /// of each step or time that tests share, `shared` for correlation between tests at the steps or times they share.
     pub term: String,
-    /// Name of the input; null for `record` and `steps`.
+    /// Name of the input; null for `record`, `steps` and `shared`.
     pub column: Option<String>,
-    /// F.
+    /// F; for `shared` the mean of n c² over pairs of tests, with c the correlation of their innovations at n common
+    /// steps, 1 for independent tests.
     pub statistic: f64,
-    /// Degrees of freedom of F.
+    /// Degrees of freedom of F; for `shared` the number of pairs and their largest n.
     pub degrees_of_freedom: [usize; 2],
-    /// Probability of an F as large as this.
+    /// Probability of a statistic as large as this.
     pub p_value: f64,
-    /// Least and largest value, row or time of the part of the term that deviates most; null for `square` and `change`.
+    /// Least and largest value, row or time of the part of the term that deviates most; null for `square`, `change`
+    /// and `shared`.
     pub at: Option<[f64; 2]>,
     /// Deviation of this part, in the unit of the measurement; for `steps` in standard deviations.
     pub deviation: Option<f64>,
@@ -108,8 +113,8 @@ pub struct NormalityRecord {
 }
 
 impl MisfitRecord {
-    /// Misfit as a record; `None` where no innovation was looked at.
-    pub fn new(found: &Misfit, model: &PhasedModel) -> Option<MisfitRecord> {
+    /// Misfit as a record; `None` where no innovation was looked at. `files`: names of the data files.
+    pub fn new(found: &Misfit, model: &PhasedModel, files: &[String]) -> Option<MisfitRecord> {
         if found.count == 0 {
             return None;
         }
@@ -126,7 +131,7 @@ impl MisfitRecord {
                 p_value: normality.p_value,
             }),
             unlike: unlike(found, model),
-            wrong_rows: wrong_rows(found, model),
+            wrong_rows: wrong_rows(found, model, files),
         })
     }
 
@@ -140,7 +145,7 @@ impl MisfitRecord {
 impl FitRecord {
     /// Sets the misfit that tests have in common.
     pub fn set_misfit(&mut self, found: &Misfit, model: &PhasedModel) {
-        self.misfit = MisfitRecord::new(found, model);
+        self.misfit = MisfitRecord::new(found, model, &self.data.files);
         self.set_whitened(&found.by_test);
     }
 }
@@ -152,8 +157,9 @@ impl MisfitTermRecord {
         match self.term.as_str() {
             "levels" => format!("the level by `{column}`"),
             "square" => format!("the curvature over `{column}`"),
-            "change" => format!("the dependence on the change of `{column}`"),
+            "change" => format!("the dependence on `{column}` of the row before or after"),
             "record" => "the level along the record".to_owned(),
+            "shared" => "the correlation of tests at common steps".to_owned(),
             _ => "the mean of each step".to_owned(),
         }
     }
@@ -178,15 +184,15 @@ fn unlike(found: &Misfit, model: &PhasedModel) -> Vec<UnlikeRecord> {
     records
 }
 
-fn wrong_rows(found: &Misfit, model: &PhasedModel) -> Vec<WrongRowRecord> {
+fn wrong_rows(found: &Misfit, model: &PhasedModel, files: &[String]) -> Vec<WrongRowRecord> {
     let record = |one: &WrongRow| {
         let phase = &model.phases[one.phase];
         WrongRowRecord {
             test: one.test.to_string(),
             phase: phase.name.clone(),
             measurement: phase.model.measurements[one.measurement].name.clone(),
-            file: one.source.file,
-            row: one.source.row,
+            file: files.get(one.source.file as usize).cloned(),
+            row: usize::try_from(one.source.row).unwrap_or(usize::MAX),
             time: one.time,
             deviation: one.deviation,
             std_dev: one.std_dev,
@@ -207,6 +213,7 @@ fn of_term(term: &TermTest, model: &PhasedModel) -> MisfitTermRecord {
         TermKind::Change(column) => ("change", Some(column)),
         TermKind::Record => ("record", None),
         TermKind::Steps => ("steps", None),
+        TermKind::Shared => ("shared", None),
     };
     let largest = term.largest.filter(|largest| largest.value.is_finite() && largest.std_dev.is_finite());
     let has_place = !matches!(term.kind, TermKind::Square(_) | TermKind::Change(_));

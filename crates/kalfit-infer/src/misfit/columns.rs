@@ -146,8 +146,7 @@ impl<'a> Columns<'a> {
         let measured = self.model.phases[term.phase].model.measurements[term.measurement].column;
         let Some(Evidence::Rows(rows)) = test.phases.get_mut(term.phase) else { return test };
         for row in 0..rows.rows() {
-            let before = (row > 0).then(|| rows.numbers(row - 1));
-            let change = term.value(column, row, rows.numbers(row), before);
+            let change = term.value(column, row, rows);
             if change != 0.0 {
                 let value = rows.numbers(row)[measured] + size * change;
                 rows.set_number(row, measured, value);

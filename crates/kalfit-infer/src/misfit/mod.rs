@@ -19,6 +19,7 @@ mod levels;
 mod normality;
 mod probe;
 mod score;
+mod shared;
 mod steps;
 mod terms;
 mod unlike;
@@ -36,6 +37,7 @@ use kalfit_model::{Alpha, Grouping, PhasedModel, PhasedTest, Population, TestId}
 use columns::Columns;
 use levels::Unit;
 use score::Score;
+use shared::SharedSteps;
 use steps::StepMeans;
 use terms::{Term, candidates};
 use wrong_rows::LargeInnovations;
@@ -91,11 +93,11 @@ pub struct TermTest {
     pub measurement: usize,
     /// Which term.
     pub kind: TermKind,
-    /// F.
+    /// F; for [`TermKind::Shared`] the mean of n c² over pairs of tests, 1 for independent tests.
     pub statistic: f64,
-    /// k, and n - q - k.
+    /// k, and n - q - k; for [`TermKind::Shared`] the number of pairs and their largest n.
     pub degrees_of_freedom: [usize; 2],
-    /// Probability of an F as large as this.
+    /// Probability of a statistic as large as this.
     pub p_value: f64,
     /// The part of the term that deviates most.
     pub largest: Option<Deviation>,
@@ -129,6 +131,7 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
     let columns = Columns::new(&model, of, &terms)?;
     let units = chosen(units, &tests, columns.passes());
     let (mut score, mut steps) = (Score::new(&columns, &terms), StepMeans::new(&columns));
+    let mut shared = SharedSteps::default();
     let all = units.len().max(1) as f64;
     for (done, batch) in batches(&units, &tests) {
         if !go_on(0.5 + 0.5 * done as f64 / all) {
@@ -140,12 +143,16 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
             let whitened = score.of_means(&unit);
             score.add(&unit, &whitened);
             steps.add(&unit, &whitened);
+            shared.add(&unit, &whitened);
         }
     }
     found.terms = score.tests(&terms);
     found.terms.extend(steps.tests(&score));
+    found.terms.extend(shared.tests());
     let together = of.population.together(model.dimension());
-    found.wrong_rows = large.wrong(&InnovationFilter::new(&model, of.alpha, &together)?, &model, &tests);
+    let filter = InnovationFilter::new(&model, of.alpha, &together)?;
+    let left = found.count.saturating_sub(columns.basis().ncols() + columns.regressors().len());
+    found.wrong_rows = large.wrong(&filter, (&model, &tests), (found.nis, left));
     Ok(found)
 }
 

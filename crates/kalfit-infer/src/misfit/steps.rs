@@ -64,12 +64,12 @@ impl StepMeans {
 }
 
 /// Time of an innovation, or number of its step.
-fn position(place: &Innovation) -> f64 {
+pub(super) fn position(place: &Innovation) -> f64 {
     place.time.unwrap_or(place.step as f64)
 }
 
 /// A number that is ordered as x.
-fn ordered(x: f64) -> u64 {
+pub(super) fn ordered(x: f64) -> u64 {
     let bits = (x + 0.0).to_bits();
     if bits >> 63 == 0 { bits | 1 << 63 } else { !bits }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use kalfit_model::{Expression, Model, PhasedModel, PhasedTest};
+use kalfit_model::{Expression, Model, PhasedModel, PhasedTest, Test};
 
 use crate::misfit::probe::rows;
 
@@ -20,12 +20,14 @@ pub enum TermKind {
     Levels(usize),
     /// The square of the column with this index.
     Square(usize),
-    /// The change of the column with this index since the row before.
+    /// The changes of the column with this index since the row before and to the row after: an input that is early or late.
     Change(usize),
     /// A level of each part of the record: the rows of all tests in parts by their number in the record.
     Record,
     /// The mean innovation of each step, or of each time, that tests share.
     Steps,
+    /// Correlation between tests at the steps, or times, that they share.
+    Shared,
 }
 
 /// A mean term of one measurement.
@@ -34,8 +36,9 @@ pub(super) struct Term {
     pub(super) phase: usize,
     pub(super) measurement: usize,
     pub(super) kind: TermKind,
-    /// Lower limits of the levels but the first, and the range of the values in each level; one level for other terms.
+    /// Lower limits of the levels but the first.
     limits: Vec<f64>,
+    /// Range of the values of each column.
     pub(super) ranges: Vec<[f64; 2]>,
     /// Centre of a square, and what a value is divided by.
     centre: f64,
@@ -79,12 +82,16 @@ impl Term {
             TermKind::Record if few => return None,
             TermKind::Levels(_) | TermKind::Record => limits(&sorted, &distinct, few),
             TermKind::Square(_) if distinct.len() < 3 => return None,
-            TermKind::Square(_) | TermKind::Change(_) | TermKind::Steps => Vec::new(),
+            TermKind::Square(_) | TermKind::Change(_) | TermKind::Steps | TermKind::Shared => Vec::new(),
         };
         if size <= 0.0 || !size.is_finite() {
             return None;
         }
         let centre = least + 0.5 * size;
+        if let TermKind::Change(_) = kind {
+            let ranges = vec![[least, largest]; 2];
+            return Some(Term { phase, measurement, kind, limits, ranges, centre, size });
+        }
         let mut ranges = vec![[f64::INFINITY, f64::NEG_INFINITY]; limits.len() + 1];
         let term = Term { phase, measurement, kind, limits, ranges: Vec::new(), centre, size };
         for &x in &sorted {
@@ -103,15 +110,24 @@ impl Term {
         self.limits.partition_point(|limit| *limit <= x)
     }
 
-    /// Value of a column of the term in a row, given the cells of the row and of the row before.
-    pub(super) fn value(&self, column: usize, row: usize, now: &[f64], before: Option<&[f64]>) -> f64 {
+    /// Value of a column of the term in a row of a test.
+    pub(super) fn value(&self, column: usize, row: usize, test: &Test) -> f64 {
         let share = |x: f64| (x - self.centre) / self.size;
+        let now = test.numbers(row);
         let value = match self.kind {
             TermKind::Levels(input) => f64::from(u8::from(self.level(now[input]) == column)),
             TermKind::Record => f64::from(u8::from(self.level(row as f64) == column)),
             TermKind::Square(input) => share(now[input]).powi(2),
-            TermKind::Change(input) => before.map_or(0.0, |before| share(now[input]) - share(before[input])),
-            TermKind::Steps => 0.0,
+            TermKind::Change(input) => {
+                let pair =
+                    if column == 0 { row.checked_sub(1).map(|before| [before, row]) } else { Some([row, row + 1]) };
+                let pair = pair.filter(|[_, later]| *later < test.rows());
+                pair.map_or(0.0, |pair| {
+                    let [earlier, later] = pair.map(|row| test.numbers(row)[input]);
+                    share(later) - share(earlier)
+                })
+            }
+            TermKind::Steps | TermKind::Shared => 0.0,
         };
         if value.is_finite() { value } else { 0.0 }
     }

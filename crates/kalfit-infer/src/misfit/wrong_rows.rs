@@ -1,7 +1,7 @@
 //! Single measurements that contradict all others of their test, by auxiliary residuals (de Jong and Penzer 1998).
 //!
 //! ```text
-//! u = V⁻¹r,   t_i = u_i / √(V⁻¹)_ii ~ N(0, 1)
+//! u = V⁻¹r,   t_i = u_i / √(V⁻¹)_ii ~ N(0, 1),   t_i² / ((r'V⁻¹r - t_i²) / (n - q - 1)) ~ F(1, n - q - 1)
 //! ```
 //!
 //! t_i is the score test of a change of measurement i alone: unlike an innovation it uses what comes later, so that a
@@ -10,9 +10,9 @@
 
 use kalfit_filter::innovations::{Innovation, InnovationFilter};
 use kalfit_model::{Evidence, PhasedModel, PhasedTest, Source, TestId};
-use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::misfit::columns::UnitColumns;
+use crate::misfit::score::FTest;
 
 /// Most tests that are looked at.
 const MAX_TESTS: usize = 20;
@@ -58,22 +58,29 @@ impl LargeInnovations {
         }
     }
 
-    /// The measurement of each of these tests that contradicts the others most.
+    /// The measurement of each of these tests that contradicts the others most. `whole`: the square of all innovations and
+    /// its degrees of freedom.
     pub(super) fn wrong(
         mut self,
         filter: &InnovationFilter,
-        model: &PhasedModel,
-        tests: &[PhasedTest],
+        (model, tests): (&PhasedModel, &[PhasedTest]),
+        whole: (f64, usize),
     ) -> Vec<WrongRow> {
         self.0.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.to_string().cmp(&b.1.to_string())));
         self.0.truncate(MAX_TESTS);
         let test = |id: &TestId| tests.iter().find(|test| test.id == *id);
-        self.0.iter().filter_map(|(_, id, row)| most_wrong(filter, model, test(id)?, *row)).collect()
+        self.0.iter().filter_map(|(_, id, row)| most_wrong(filter, (model, test(id)?), *row, whole)).collect()
     }
 }
 
-/// `near`: number of a large innovation.
-fn most_wrong(filter: &InnovationFilter, model: &PhasedModel, test: &PhasedTest, near: usize) -> Option<WrongRow> {
+/// `near`: number of a large innovation; `whole`: the square of all innovations and its degrees of freedom, by which the
+/// deviation is studentised, as a wrong value makes estimated noise levels large.
+fn most_wrong(
+    filter: &InnovationFilter,
+    (model, test): (&PhasedModel, &PhasedTest),
+    near: usize,
+    (square, all): (f64, usize),
+) -> Option<WrongRow> {
     let base = filter.run(std::slice::from_ref(test)).pop()?.ok()??;
     let looked = near.saturating_sub(MAX_DISTANCE)..(near + MAX_DISTANCE + 1).min(base.series.len());
     let size = |at: usize| base.series[at].variance.sqrt();
@@ -111,7 +118,7 @@ fn most_wrong(filter: &InnovationFilter, model: &PhasedModel, test: &PhasedTest,
         time: place.time,
         deviation: statistic * std_dev,
         std_dev,
-        p_value: 2.0 * Normal::standard().sf(statistic.abs()),
+        p_value: FTest::of(statistic * statistic, 1, square, all)?.p_value(),
     })
 }
 

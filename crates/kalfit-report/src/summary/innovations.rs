@@ -221,7 +221,8 @@ fn meaning(improbable: &[ImprobableFigure<'_>], (all, correlates): (usize, &str)
     }
     let because = because.join("; ");
     format!(
-        "{these} improbable{more} at the 1 % level, after Holm correction for {}: {because}.",
+        "{these} improbable{more} at the {} % level, after Holm correction for {}: {because}.",
+        plain(100.0 * SEARCH_LEVEL, 2),
         count(all, "p-value")
     )
 }

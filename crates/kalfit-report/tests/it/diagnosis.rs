@@ -56,8 +56,8 @@ fn improbable_innovations_are_named_by_test_and_kind() {
       309   larger than modelled      60        10     7e-9    4e-8
       308   correlated in time       4.5         2     1e-5    5e-5
       310   smaller than modelled    0.3        10   0.0002  0.0008
-      These are improbable at the 1 % level, after Holm correction for 6 p-values: a
-        size that differs from the model suggests other noise levels, or faults in
+      These are improbable at the 1.8 % level, after Holm correction for 6 p-values:
+        a size that differs from the model suggests other noise levels, or faults in
         the test; correlation in time suggests a missing process, such as a drift.
       Mean square of all 30 innovations, each divided by its standard deviation:
         2.31 (expected 1 ± 0.26). That is more than chance allows: the model has too
@@ -67,8 +67,8 @@ fn improbable_innovations_are_named_by_test_and_kind() {
 
 #[test]
 fn holms_correction_stops_at_the_first_that_is_probable() {
-    // of ten p-values 0.0008 passes (times 10), 0.0011 does too (times 9), 0.0014 does not (times 8)
-    let p_values = [0.0008, 0.0011, 0.0014, 0.5, 0.6];
+    // of ten p-values 0.0012 passes (times 10), 0.0016 does too (times 9), 0.0024 does not (times 8)
+    let p_values = [0.0012, 0.0016, 0.0024, 0.5, 0.6];
     let found: Vec<InnovationRecord> = p_values.iter().map(|&p| innovations(20.0, p, 0.9)).collect();
     let text = section(&record(&found));
     assert_eq!(text.matches("larger than modelled").count(), 2, "{text}");

@@ -152,11 +152,11 @@ fn what_was_not_looked_at_has_not_passed() {
 
 #[test]
 fn p_values_are_corrected_for_their_number() {
-    // 40 p-values: Holm's first is 0.00026 × 40 = 0.0104, of which nothing follows
+    // 40 p-values: Holm's first is 0.00046 × 40 = 0.0184, of which nothing follows
     let mut found = vec![innovations(10, 10.0, 0.5, 0.5); 20];
-    found[3].nis_p_value = Some(0.00026);
+    found[3].nis_p_value = Some(0.00046);
     assert_eq!(kinds(&with(&found)).0, "passed");
-    found[3].nis_p_value = Some(0.00024);
+    found[3].nis_p_value = Some(0.00044);
     assert_eq!(kinds(&with(&found)), ("doubtful".to_owned(), vec!["innovations".to_owned()]));
     // Holm (1979): p-values 0.01, 0.02, 0.03, 0.04 of four
     let adjusted = holm(&[0.01, 0.02, 0.03, 0.04], 4);

@@ -3,13 +3,14 @@
 use crate::face::fit::Fit;
 use kalfit_filter::innovations::innovations;
 use kalfit_infer::misfit::{FittedEnsemble, misfit};
-use kalfit_model::{PhasedTest, Population};
+use kalfit_model::PhasedTest;
 use kalfit_record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 
 /// Adds innovations to the record, or a note why innovations were not computed; the fit does not depend on innovations.
 pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
     let model = &fit.model;
-    let found = match innovations(model, &fit.alpha, &fit.population(), tests) {
+    let population = fit.population();
+    let found = match innovations(model, &fit.alpha, &population.together(model.dimension()), tests) {
         Ok(found) => found,
         Err(error) => {
             fit.record.notes.push(format!("innovations were not computed: {error}"));
@@ -27,10 +28,10 @@ pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
     }
     fit.record.set_innovations(records);
     fit.record.add_series(series);
-    let population = Population::from(&fit.estimate);
     let grouping = fit.estimate.grouping().map(|grouping| &**grouping);
     let of = FittedEnsemble { model: &fit.model, alpha: &fit.alpha, population: &population, tests, grouping };
-    if let Ok(found) = misfit(&of, &mut |_| true) {
-        fit.record.set_misfit(&found, &fit.model);
+    match misfit(&of, &mut |_| true) {
+        Ok(found) => fit.record.set_misfit(&found, &fit.model),
+        Err(error) => fit.record.notes.push(format!("misfit that tests have in common was not looked for: {error}")),
     }
 }

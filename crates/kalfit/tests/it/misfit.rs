@@ -171,3 +171,42 @@ fn a_response_that_bends_is_found_in_all_tests_together() {
     let term = found.terms.iter().find(|term| matches!(term.kind, TermKind::Square(_))).expect("a square");
     assert!(term.p_value < 1e-3, "{}", term.p_value);
 }
+
+#[test]
+fn tests_that_share_a_disturbance_are_found() {
+    let shared = |found: &Misfit| {
+        let term = found.terms.iter().find(|term| term.kind == TermKind::Shared).expect("common steps");
+        assert_eq!(term.degrees_of_freedom, [UNITS * RUNS * (UNITS * RUNS - 1) / 2, ROWS]);
+        (term.statistic, term.p_value)
+    };
+    let (alone, p_value) = shared(&Bench::new(|_, _, _| 0.0).found());
+    assert!(alone < 1.3 && p_value > 0.01, "{alone}, {p_value}");
+    // two stations, so that the mean of each step stays small
+    let station = |_, run, row| if run == 0 { 0.0 } else { (run as f64 * 2.0 - 3.0) * 2.0 * noise(5 * row + 3) };
+    let (disturbed, p_value) = shared(&Bench::new(station).found());
+    assert!(disturbed > 1.5 && p_value < 1e-6, "{disturbed}, {p_value}");
+}
+
+#[test]
+fn an_input_that_is_late_is_found_by_its_changes() {
+    let late = |unit, run, row: usize| 0.8 * (x(unit, run, (row + 1).min(ROWS - 1)) - x(unit, run, row));
+    let found = Bench::new(late).found();
+    let least = found.terms.iter().min_by(|a, b| a.p_value.total_cmp(&b.p_value)).expect("terms");
+    assert!(matches!(least.kind, TermKind::Change(_)) && least.p_value < 1e-9, "{least:?}");
+    assert_eq!(least.degrees_of_freedom[0], 2);
+}
+
+#[test]
+fn a_fit_with_levels_is_checked_as_a_whole() {
+    let bench = Bench::new(|unit, run, at| if (unit, run, at) == (3, 2, 5) { 4.0 } else { 0.0 });
+    let record = bench.ensemble.fit().expect("a fit").record;
+    assert!(record.tests.iter().all(|test| test.innovations.is_some()), "{:?}", record.notes);
+    let misfit = record.misfit.as_ref().expect("misfit");
+    assert_eq!(
+        (misfit.tests, misfit.innovations, misfit.unlike.len()),
+        (UNITS * RUNS, record.data.observations, UNITS * RUNS)
+    );
+    assert_eq!(misfit.wrong_rows.first().map(|row| row.test.as_str()), Some("u3/2"));
+    let check = record.model_check.expect("a check");
+    assert!(check.findings.iter().any(|finding| finding.kind == "row"), "{check:?}");
+}
