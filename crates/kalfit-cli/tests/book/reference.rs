@@ -6,6 +6,7 @@ use std::process::Command;
 
 use kalfit::record::{
     ConstraintRecord, DeletionRecord, Figure, InnovationRecord, QuantityRecord, TestRecord, WhitenessRecord,
+    WrongRowRecord,
 };
 
 use crate::source::{Structure, files, structures};
@@ -113,6 +114,8 @@ fn kind(rust: &str) -> String {
         "bool" => "true or false".to_owned(),
         "SquareRecord" => "list of list of number".to_owned(),
         "Interval" => "two ends, each a number or null".to_owned(),
+        "[usize; 2]" => "pair of counts".to_owned(),
+        "[f64; 2]" => "pair of numbers".to_owned(),
         "(String, usize)" => "pair of text and count".to_owned(),
         other => format!("[{other}](#{})", other.to_lowercase()),
     }
@@ -268,6 +271,7 @@ fn the_book_has_every_figure_of_the_code() {
     check("--tests", &entries(&WhitenessRecord::FIGURES), true);
     check("--tests", &entries(&DeletionRecord::FIGURES), true);
     check("--constraints", &entries(&ConstraintRecord::FIGURES), true);
+    check("--rows", &entries(&WrongRowRecord::FIGURES), true);
     check("--parameters", &entries(&QuantityRecord::FIGURES), false); // fit.json has no list of them
 }
 

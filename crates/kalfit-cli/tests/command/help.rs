@@ -123,6 +123,9 @@ fn version_and_help() {
           --constraints <FILE>
               File for a table of the constraints, with a score test of each
 
+          --rows <FILE>
+              File for a table of the measurements that contradict the others of their test
+
           --no-tests
               Leave out all results of single tests (estimates, innovations, influence): for millions of
               tests, where they would take more time and memory than the fit

@@ -69,7 +69,7 @@ fn a_summary_of_two_phases() {
 
     Constraints (score test of each one separately)
       element                          held at  dℓ/dvalue  p-value  if freed
-      flight: covariance[bias, trend]        0      -37.2     0.43   -0.0166
+      flight: covariance[bias, trend]        0      -37.2     0.49    -0.013
       The data do not contradict the constraint (5 % level).
 
     Outlying tests
