@@ -4,7 +4,9 @@
 //! of a standard deviation and proportional to a variance, which is never negative. So such a parameter can be taken as
 //! positive without loss, and so can a time constant, which cannot pass through zero.
 
-use crate::model::{CovarianceKind, CovarianceStructure, Expression, Model, Motion, Phase, PhasedModel, Site};
+use crate::model::{
+    CovarianceKind, CovarianceStructure, Expression, Function, Model, Motion, Operator, Phase, PhasedModel, Site,
+};
 
 mod timely;
 mod variance;
@@ -51,9 +53,9 @@ enum SiteKind {
 ///   for a and b); or the parameter is a factor of every variance (`variance = "v"`), or a variance added to terms that
 ///   are known or even (`variance = "v + tau2"`);
 /// - where the parameter occurs in covariances, the parameter is a factor of all covariances and variances with the
-///   parameter: `rho * sd0 * sd1`. The sign of the covariance is then the sign of the other factors, such as a rho of
-///   either sign. In `l1 * l2` together with the variances `l1^2 + u1` the parameters are loadings, whose signs matter,
-///   and not scales.
+///   parameter, and no covariance changes its sign with a standard deviation alone: `rho * sd0 * sd1`. The sign of the covariance
+///   is then the sign of the other factors, such as a rho of either sign. In `l1 * l2` together with the variances
+///   `l1^2 + u1` the parameters are loadings, whose signs matter, and not scales; nor is theta in `theta * s^2`.
 ///
 /// Parameters in terms of a sum that may be negative (`a + b * T`) or in functions such as exp have [`Role::Other`].
 pub fn roles(model: &PhasedModel) -> Vec<Role> {
@@ -84,7 +86,7 @@ fn role(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Role {
 /// k, if the parameter scales noise as v = θ^k.
 fn scale(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Option<i32> {
     let paired = occurrences.iter().any(|(site_kind, _)| *site_kind == SiteKind::Covariance);
-    let mut power = None;
+    let (mut power, mut signed) = (None, false);
     for (site_kind, expression) in occurrences {
         if paired && expression.exponents(parameter).is_none() {
             return None;
@@ -92,11 +94,36 @@ fn scale(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Option<i3
         match (site_kind, expression.use_as_variance(parameter)) {
             (SiteKind::Variance, Use::Deviation) => power = power.or(Some(2)),
             (SiteKind::Variance, Use::Variance) => power = Some(1),
-            (SiteKind::Covariance, _) => {}
+            (SiteKind::Covariance, _) => signed |= expression.has_sign_of(parameter),
             _ => return None,
         }
     }
-    power
+    // a variance has no sign either way
+    power.filter(|power| !(signed && *power == 2))
+}
+
+impl Expression {
+    /// Whether the expression changes its sign with the parameter, and with no other parameter.
+    fn has_sign_of(&self, parameter: usize) -> bool {
+        let others = self.parameters();
+        self.is_odd(parameter) && !others.into_iter().any(|other| other != parameter && self.is_odd(other))
+    }
+
+    /// Whether the expression, a product that may have alternatives, changes its sign with the parameter.
+    fn is_odd(&self, parameter: usize) -> bool {
+        let of = |part: &Expression| part.is_odd(parameter);
+        match self {
+            Expression::Parameter(index) => *index == parameter,
+            Expression::Negate(a) => of(a),
+            Expression::Binary(Operator::Multiply | Operator::Divide, a, b) => of(a) != of(b),
+            Expression::Binary(Operator::Power, a, n) => {
+                n.as_number().is_some_and(|n| n.rem_euclid(2.0) == 1.0) && of(a)
+            }
+            Expression::Binary(Operator::Add | Operator::Subtract, a, b) | Expression::If(_, a, b) => of(a) || of(b),
+            Expression::Call(Function::Min | Function::Max, arguments) => arguments.iter().any(&of),
+            _ => false,
+        }
+    }
 }
 
 /// Whether the parameter is a decay wherever it occurs in motion, and at least once in the coefficient of the state

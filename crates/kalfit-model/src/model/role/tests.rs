@@ -105,6 +105,14 @@ fn standard_deviations_may_share_a_correlation_and_loadings_have_signs() {
     let loaded = |own: &str, l: &str| stepping(own, n(own), (n(l).power(2.0) + n("u2")).sqrt());
     let loadings = state(loaded("u", "l")).state(loaded("w", "m")).process_noise_covariance("u", "w", n("l") * n("m"));
     assert_eq!(found(loadings, &["l", "m", "u2"]), [Role::Other, Role::Other, VARIANCE]);
+    // one shock moves both states: theta is a deviation of one, and the sign of the covariance
+    let shocked = |size: Formula| state(stepping("u", n("u"), n("s"))).state(stepping("w", n("w"), size * n("s")));
+    let moved = shocked(n("theta").abs()).process_noise_covariance("u", "w", n("theta") * n("s").power(2.0));
+    assert_eq!(found(moved, &["theta", "s"]), [Role::Other, STANDARD_DEVIATION]);
+    let even = shocked(n("theta")).process_noise_covariance("u", "w", n("theta").abs() * n("s").power(2.0));
+    assert_eq!(found(even, &["theta", "s"]), [STANDARD_DEVIATION; 2]);
+    let exchangeable = state(stepping("u", n("u"), n("v").sqrt())).state(stepping("w", n("w"), n("v").sqrt()));
+    assert_eq!(found(exchangeable.process_noise_covariance("u", "w", 0.5 * n("v")), &["v"]), [VARIANCE]);
 }
 
 #[test]
