@@ -120,6 +120,13 @@ pub(super) fn drives(model: &PhasedModel, parameter: usize) -> bool {
     occurs(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
 }
 
+/// Whether a parameter occurs in variances only as a factor beside other parameters, which give their size.
+pub(super) fn is_ratio(model: &PhasedModel, parameter: usize) -> bool {
+    let is_variance = |site: &Site| matches!(site, Site::Noise(_) | Site::ProcessNoise(_));
+    let mut uses = expressions(model).filter(|(site, e)| is_variance(site) && e.mentions(parameter)).peekable();
+    uses.peek().is_some() && uses.all(|(_, e)| e.exponent(parameter).is_some() && e.parameters().len() > 1)
+}
+
 /// Whether a variance is a product e × e, as made from a standard deviation e.
 fn is_square(variance: &Expression) -> bool {
     matches!(variance, Expression::Binary(Operator::Multiply, a, b) if a == b)

@@ -11,7 +11,7 @@ use crate::DynamicError;
 use crate::balance::balance;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::sample::{larger, promising, refined, rough_settings, sample, total_rows};
-use crate::scales::{drives, measures, time_constants};
+use crate::scales::{drives, is_ratio, measures, time_constants};
 use crate::search_state::SearchStart;
 use crate::tries::{other_maxima, scan, with_likelihood};
 use kalfit_estimate::Progress;
@@ -136,7 +136,9 @@ fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
 /// First guess of each sought value; `use_given`: given start values are used.
 pub(crate) fn guess(objective: &ProfileLikelihood<'_>, use_given: bool) -> Vec<f64> {
     let scales = objective.scales();
-    let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
+    let model = objective.model;
+    let is_noise =
+        |parameter: usize| (measures(model, parameter) || drives(model, parameter)) && !is_ratio(model, parameter);
     let one = |(s, slot): (usize, &kalfit_model::Slot)| {
         let parameter = &objective.model.shared().parameters[slot.parameter];
         let coordinate = objective.coordinates[s];

@@ -1,6 +1,7 @@
 //! Cheap trials of ℓ over several powers of ten of one parameter.
 
 use crate::profile_likelihood::ProfileLikelihood;
+use crate::scales::measures;
 use kalfit_estimate::{Progress, Stage};
 
 /// Ratio of successive values tried for a logarithm.
@@ -18,6 +19,8 @@ const ROUNDING: f64 = 1e-8;
 const FINE_STEP: f64 = 0.25;
 /// Number of steps of [`FINE_STEP`] tried.
 const FINE_STEPS: usize = 12;
+/// Sizes of the noise of the measurements, relative to those of differences of the data.
+const NOISE_SIZES: [f64; 3] = [1.0, 0.5, 0.25];
 /// Values tried for a parameter that is not sought by its logarithm.
 const OTHER_VALUES: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 /// Rise of ℓ above which a later one of [`OTHER_VALUES`] replaces an earlier one: where a mean compensates a
@@ -127,20 +130,31 @@ fn best(
         .reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
 }
 
-/// Up to three maxima of ℓ over the trials of a parameter (`grid`), without a maximum near the first start.
+/// Up to three maxima of ℓ over the trials of a parameter (`grid`), without a maximum near the first start. Noise of the
+/// measurements is tried in several sizes, as a process of another time constant explains another part of it.
 pub(super) fn other_maxima(
     small: &ProfileLikelihood<'_>,
     parameter: usize,
     first: &[f64],
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
-    let grid = grid(small, parameter, first);
-    let values = likelihoods_at(small, &grid, progress);
-    let values: Vec<f64> = values.into_iter().map(|value| value.unwrap_or(f64::NEG_INFINITY)).collect();
+    let of_noise = |s: usize| small.coordinates[s].log && measures(small.model, small.slots.slots()[s].parameter);
+    let sized = |place: Vec<f64>| {
+        let with = |size: f64| -> Vec<f64> {
+            let value = |(s, &v): (usize, &f64)| if of_noise(s) { size * small.units()[s] } else { v };
+            place.iter().enumerate().map(value).collect()
+        };
+        let places = std::iter::once(place.clone()).chain(NOISE_SIZES.map(with)).collect();
+        let found = with_likelihood(small, places, progress);
+        let best = found.into_iter().reduce(|best, next| if next.1 > best.1 { next } else { best });
+        best.unwrap_or((place, f64::NEG_INFINITY))
+    };
+    let (grid, values): (Vec<Vec<f64>>, Vec<f64>) = grid(small, parameter, first).into_iter().map(sized).unzip();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
     let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];
-    let alike =
-        |(s, value): (usize, &f64)| *value == first[s] || (value / first[s]).ln().abs() <= 1.01 * TRIAL_FACTOR.ln();
+    let alike = |(s, value): (usize, &f64)| {
+        small.slots.slots()[s].parameter != parameter || (value / first[s]).ln().abs() <= 1.01 * TRIAL_FACTOR.ln()
+    };
     let near = |k: usize| grid[k].iter().enumerate().all(alike);
     (0..values.len()).filter(peak).filter(|&k| !near(k)).take(3).map(|k| grid[k].clone()).collect()
 }

@@ -180,3 +180,22 @@ fn a_held_mean_stands_beside_a_parameter_at_its_bound() {
     assert_eq!(parameter(&record, "g", None).estimate, 5.0);
     assert!(record.constraints[0].sensitivity.unwrap() < 0.0, "{:?}", record.constraints[0]);
 }
+
+#[test]
+fn a_process_of_known_size_finds_its_time_constant() {
+    // a slow process and more noise, or a white one and none, are lower maxima
+    reaches(&fitted("known-size", "known-size", &[]), "300 rows", -394.331562);
+    reaches(&fitted("known-size", "known-size-short", &[]), "48 rows", -61.065308);
+}
+
+#[test]
+fn a_factor_of_a_deviation_and_of_a_covariance_has_a_sign() {
+    let record = fitted("one-shock", "one-shock", &[]);
+    reaches(&record, "one shock", -317.769093);
+    assert!((parameter(&record, "theta", None).estimate + 0.247_970_8).abs() < 1e-4);
+    reaches(
+        &fitted("one-shock", "one-shock", &[("theta = {}", "theta = { start = -0.2, lower = -5 }")]),
+        "given",
+        -317.769093,
+    );
+}
