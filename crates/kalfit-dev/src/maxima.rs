@@ -43,6 +43,9 @@ pub(crate) struct MaximaOptions {
     /// Hold the ends of profile intervals instead, and fit all other values there.
     #[arg(long)]
     profiles: bool,
+    /// Half of the parameters are known to the fits: sizes, time constants, noise levels.
+    #[arg(long)]
+    known: bool,
     /// Only write each model and its data into this folder.
     #[arg(long)]
     save: Option<PathBuf>,
@@ -53,6 +56,8 @@ pub(crate) struct MaximaOptions {
 struct MaximaOutcome {
     kind: String,
     fits: usize,
+    /// Filter runs of the fit without start values.
+    runs: usize,
     certified: usize,
     /// Certified ends below another certified one, by how much at most.
     below: usize,
@@ -73,12 +78,12 @@ pub(crate) fn run(options: &MaximaOptions) -> ExitCode {
         return profile_ends(options);
     }
     let outcomes: Vec<MaximaOutcome> =
-        (0..options.models).into_par_iter().map(|k| examine(options.seed + k, options.directions)).collect();
+        (0..options.models).into_par_iter().map(|k| examine(options.seed + k, options)).collect();
     let mut kinds: Vec<&str> = outcomes.iter().map(|outcome| outcome.kind.as_str()).collect();
     kinds.sort_unstable();
     kinds.dedup();
     println!(
-        "| kind | models | fits | certified | certified below another | by at most | without a word | probes that rise | by at most |\n|---|---|---|---|---|---|---|---|---|"
+        "| kind | models | fits | runs each | certified | certified below another | by at most | without a word | probes that rise | by at most |\n|---|---|---|---|---|---|---|---|---|---|"
     );
     for kind in kinds {
         line(kind, outcomes.iter().filter(|outcome| outcome.kind == kind));
@@ -126,6 +131,7 @@ fn line<'a>(kind: &str, outcomes: impl Iterator<Item = &'a MaximaOutcome>) {
     for one in outcomes {
         models += 1;
         sum.fits += one.fits;
+        sum.runs += one.runs;
         sum.certified += one.certified;
         sum.below += one.below;
         sum.silent += one.silent;
@@ -133,14 +139,24 @@ fn line<'a>(kind: &str, outcomes: impl Iterator<Item = &'a MaximaOutcome>) {
         (sum.gap, sum.rise) = (sum.gap.max(one.gap), sum.rise.max(one.rise));
     }
     println!(
-        "| {kind} | {models} | {} | {} | {} | {:.2e} | {} | {} | {:.2e} |",
-        sum.fits, sum.certified, sum.below, sum.gap, sum.silent, sum.rising, sum.rise
+        "| {kind} | {models} | {} | {} | {} | {} | {:.2e} | {} | {} | {:.2e} |",
+        sum.fits,
+        sum.runs / models.max(1),
+        sum.certified,
+        sum.below,
+        sum.gap,
+        sum.silent,
+        sum.rising,
+        sum.rise
     );
 }
 
-fn examine(seed: u64, directions: usize) -> MaximaOutcome {
+fn examine(seed: u64, options: &MaximaOptions) -> MaximaOutcome {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let drawn = DrawnModel::new(&mut random, seed);
+    let mut drawn = DrawnModel::new(&mut random, seed);
+    if options.known {
+        drawn = drawn.with_known(seed);
+    }
     let mut outcome = MaximaOutcome { kind: drawn.kind.clone(), ..MaximaOutcome::default() };
     let mut ends: Vec<(usize, DynamicFit)> = Vec::new();
     for k in 0..RANDOM + 2 {
@@ -151,6 +167,7 @@ fn examine(seed: u64, directions: usize) -> MaximaOutcome {
         };
         if let Some(end) = drawn.fit(&drawn.free(starts.as_deref())) {
             outcome.fits += 1;
+            outcome.runs += if k == 0 { end.filter_passes } else { 0 };
             ends.push((k, end));
         }
     }
@@ -163,7 +180,7 @@ fn examine(seed: u64, directions: usize) -> MaximaOutcome {
     };
     for end in &ends {
         let gap = best.estimate.log_likelihood - end.1.estimate.log_likelihood;
-        let rise = probe(&drawn, &end.1, directions, &mut random);
+        let rise = probe(&drawn, &end.1, options.directions, &mut random);
         outcome.below += usize::from(gap > EQUAL);
         outcome.silent += usize::from(gap > EQUAL && says_nothing(&end.1));
         outcome.rising += usize::from(rise > RISES);
@@ -171,7 +188,7 @@ fn examine(seed: u64, directions: usize) -> MaximaOutcome {
         outcome.rise = outcome.rise.max(rise);
         if gap > EQUAL || rise > RISES {
             eprintln!(
-                "seed {seed}, {}: from {} ends {gap:.3e} below another, a probe rises by {rise:.3e}; at {:?} {:?} {} runs {:?} {:?}, the other at {:?}, truth {:?}\n{}",
+                "seed {seed}, {}: from {} ends {gap:.3e} below another, a probe rises by {rise:.3e}; at {:?} {:?} {} runs {:?} {:?}, the other at {:?}, truth {:?}, known {:?}\n{}",
                 drawn.kind,
                 end.0,
                 end.1.values,
@@ -181,6 +198,7 @@ fn examine(seed: u64, directions: usize) -> MaximaOutcome {
                 end.1.lower_maxima(EQUAL),
                 best.values,
                 drawn.truth,
+                drawn.known,
                 drawn.text
             );
         }
@@ -205,17 +223,21 @@ fn probe(drawn: &DrawnModel, end: &DynamicFit, directions: usize, random: &mut C
         let fit = estimate::fit_from(&reductions, &structure, &near, &estimate::Settings::default(), &mut Silent);
         fit.ok().map(|fit| fit.log_likelihood).filter(|value| value.is_finite())
     };
-    let Some(home) = value(&end.values) else { return 0.0 };
+    let found = drawn.with_free(&end.values);
+    let Some(home) = value(&found) else { return 0.0 };
     let mut most: f64 = 0.0;
     for k in 0..directions {
         let length = [1e-3, 1e-2, 0.05, 0.2][k % 4];
         let moved = |(s, v): (usize, &f64)| {
+            if drawn.known[s] {
+                return *v;
+            }
             let draw: f64 = StandardNormal.sample(random);
             let size = if *v == 0.0 { 0.3 } else { v.abs() };
             let moved = v + length * size * draw;
             if parameters[s].positive { moved.abs() } else { moved }
         };
-        let values: Vec<f64> = end.values.iter().enumerate().map(moved).collect();
+        let values: Vec<f64> = found.iter().enumerate().map(moved).collect();
         most = most.max(value(&values).map_or(0.0, |value| value - home));
     }
     // what is left behind at infinity is level to this
@@ -234,7 +256,8 @@ mod tests {
     #[test]
     fn searches_from_all_starts_end_at_one_maximum() {
         let seeds = [2066, 2174, 2783, 4103, 9184, 9366]; // `cargo dev maxima` draws thousands
-        let outcomes: Vec<MaximaOutcome> = seeds.into_par_iter().map(|seed| examine(seed, 0)).collect();
+        let options = MaximaOptions { models: 0, seed: SEED, directions: 0, profiles: false, known: false, save: None };
+        let outcomes: Vec<MaximaOutcome> = seeds.into_par_iter().map(|seed| examine(seed, &options)).collect();
         let count = |of: fn(&MaximaOutcome) -> usize| outcomes.iter().map(of).sum::<usize>();
         let (fits, certified) = (count(|outcome| outcome.fits), count(|outcome| outcome.certified));
         let (below, silent) = (count(|outcome| outcome.below), count(|outcome| outcome.silent));

@@ -10,7 +10,7 @@ use kalfit::simulate::{Designs, Simulator};
 use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Population, Source, Test};
 use kalfit_spec::Spec;
 use nalgebra::DMatrix;
-use rand::RngExt;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -23,6 +23,8 @@ pub(super) struct DrawnModel {
     pub(super) text: String,
     pub(super) model: PhasedModel,
     pub(super) truth: Vec<f64>,
+    /// Whether each parameter is known to fits, at the truth.
+    pub(super) known: Vec<bool>,
     pub(super) tests: Vec<PhasedTest>,
 }
 
@@ -34,9 +36,27 @@ impl DrawnModel {
             let spec = Spec::parse("model", &text).unwrap_or_else(|error| panic!("{}\n{text}", error.message));
             let model = spec.model;
             if let Some(tests) = data(&model, &truth, random, seed) {
-                return DrawnModel { kind, text, model, truth, tests };
+                let known = vec![false; truth.len()];
+                return DrawnModel { kind, text, model, truth, known, tests };
             }
         }
+    }
+
+    /// The model with every other parameter known on average, but not all, drawn from another stream of the seed.
+    pub(super) fn with_known(mut self, seed: u64) -> DrawnModel {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(1);
+        self.known.iter_mut().for_each(|known| *known = random.random_bool(0.5));
+        let one = random.random_range(0..self.known.len());
+        self.known[one] = false;
+        self
+    }
+
+    /// The truth with the values of a fit in the places of the parameters that are free.
+    pub(super) fn with_free(&self, free: &[f64]) -> Vec<f64> {
+        let mut free = free.iter();
+        let value = |(truth, known): (&f64, &bool)| if *known { *truth } else { *free.next().unwrap_or(truth) };
+        self.truth.iter().zip(&self.known).map(value).collect()
     }
 
     /// The data as a table.
@@ -56,12 +76,15 @@ impl DrawnModel {
         table
     }
 
-    /// The model with all parameters free.
+    /// The model with the parameters free that are not known.
     pub(super) fn free(&self, starts: Option<&[f64]>) -> PhasedModel {
         let mut model = self.model.clone();
         for phase in model.models_mut() {
             for (at, parameter) in phase.parameters.iter_mut().enumerate() {
-                parameter.value = Value::Free { start: starts.map(|starts| starts[at]) };
+                parameter.value = match self.known[at] {
+                    true => Value::Fixed(self.truth[at]),
+                    false => Value::Free { start: starts.map(|starts| starts[at]) },
+                };
             }
         }
         model
