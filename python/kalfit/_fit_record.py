@@ -166,8 +166,9 @@ class FitRecord:
         """What tests have in common that the model does not describe: score tests of mean terms (``terms``), ``normality`` of the
         innovations, tests ``unlike`` the others of their groups, and ``wrong_rows``, measurements that contradict the others of
         their test. None without innovations."""
-        result: dict[str, Any] | None = copy.deepcopy(self._record.get("misfit"))
-        return result
+        found = self._record.get("misfit")
+        none: dict[str, Any] = {"unlike": [], "wrong_rows": []}
+        return None if found is None else none | copy.deepcopy(found)
 
     @property
     def model_check(self) -> dict[str, Any]:

@@ -45,4 +45,7 @@ def steady(record: dict[str, Any], files: bool = True) -> dict[str, Any]:
         method.pop("seconds", None)
     if not files:
         record["data"].pop("files")
+        for row in (record.get("misfit") or {}).get("wrong_rows", []):
+            row.pop("file", None)
+            row.pop("row")
     return record

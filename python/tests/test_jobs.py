@@ -132,7 +132,7 @@ def test_estimates_and_constraints_are_frames():
     fitted = kalfit.fit(*BENCH)
     rows = fitted.rows_frame()
     assert list(rows["test"]) == [row["test"] for row in fitted.misfit["wrong_rows"]]
-    assert rows["deviation"].dtype == float and fitted.misfit["innovations"] == fitted.data["observations"]
+    assert rows["deviation"].dtype == float and fitted.misfit["innovations"] == fitted.to_dict()["data"]["observations"]
     phases = kalfit.fit(*PHASES).parameters_frame()
     assert "align: mean[drift]" in set(phases["name"])
 

@@ -41,6 +41,6 @@ pub struct FlatDirection {
 pub struct Mixed {
     /// Joint covariance of the coordinates along the tangent basis, then of the coordinates of α.
     pub covariance: DMatrix<f64>,
-    /// -∂²ℓ/∂α∂(μ in η, γ; σ pairs), a row for each coordinate of α.
+    /// Expected value of -∂²ℓ/∂α∂(μ in η, γ; σ pairs), a row for each coordinate of α.
     pub information: DMatrix<f64>,
 }

@@ -49,16 +49,23 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
     let phases = phases(&state.problem, reductions);
     let at = (&*state.problem, &state.newton_iterate.point, &state.sums);
     let mut found = examination(at, &state.structure(), (evidence, reductions), phases);
-    for (direction, explanation) in with_parameters(state) {
-        match found.unidentified.iter().position(|other| is_same(other, &direction)) {
-            Some(at) => found.explanations[at].also(&explanation),
-            None => {
-                found.unidentified.push(direction);
-                found.explanations.push(explanation);
+    found.extend(with_parameters(state));
+    found
+}
+
+impl Examination {
+    /// Adds directions; one that is known already keeps its first reason, with the parameters of the other.
+    pub fn extend(&mut self, directions: Vec<(Direction, Explanation)>) {
+        for (direction, explanation) in directions {
+            match self.unidentified.iter().position(|other| is_same(other, &direction)) {
+                Some(at) => self.explanations[at].also(&explanation),
+                None => {
+                    self.unidentified.push(direction);
+                    self.explanations.push(explanation);
+                }
             }
         }
     }
-    found
 }
 
 /// Whether two directions are equal but for rounding.
@@ -71,28 +78,36 @@ fn is_same(one: &Direction, other: &Direction) -> bool {
 fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
     let Some(joint) = state.joint.as_ref().filter(|joint| !joint.flat.is_empty()) else { return Vec::new() };
     let law = AsymptoticLaw::new(state);
-    let (problem, scale) = (&state.problem, &state.problem.classes.frame.scale);
-    let means = problem.mean_units();
-    let elements: Vec<f64> = problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
+    let elements = state.problem.covariance.elements.count();
     let of = |flat: &FlatDirection| {
         let mut moved = law.jacobian().times(&flat.inner);
-        let first = moved.len() - elements.len();
-        moved.rows_mut(first, elements.len()).zip_apply(&flat.moves, |own, by_matrices| *own += by_matrices);
-        let least = MIN_DIFFERENCED_WEIGHT * moved.amax();
-        moved.apply(|weight| *weight = if weight.abs() > least { *weight } else { 0.0 });
-        let parts = [(Quantity::Mean, 0, &means[..]), (Quantity::Covariance, first, &elements[..])].map(
-            |(quantity, at, units)| {
-                let own = moved.rows(at, units.len()).into_owned();
-                let explanation = Explanation {
-                    reason: Reason::WithParameters { parameters: flat.parameters.clone() },
-                    tests: Vec::new(),
-                };
-                (own.amax() > 0.0).then(|| (to_user_units(quantity, &own, units), explanation))
-            },
-        );
-        parts.into_iter().flatten()
+        let first = moved.len() - elements;
+        moved.rows_mut(first, elements).zip_apply(&flat.moves, |own, by_matrices| *own += by_matrices);
+        parts_with_parameters(&state.problem, moved, &flat.parameters)
     };
     joint.flat.iter().flat_map(of).collect()
+}
+
+/// The parts of a direction of (mean coordinates, elements of Σ) in η along which ℓ does not change while `parameters`
+/// change too, in the user's units.
+pub(crate) fn parts_with_parameters(
+    problem: &Problem,
+    mut moved: DVector<f64>,
+    parameters: &[usize],
+) -> Vec<(Direction, Explanation)> {
+    let (means, scale) = (problem.mean_units(), &problem.classes.frame.scale);
+    let elements: Vec<f64> = problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
+    let first = moved.len() - elements.len();
+    let least = MIN_DIFFERENCED_WEIGHT * moved.amax();
+    moved.apply(|weight| *weight = if weight.abs() > least { *weight } else { 0.0 });
+    let parts = [(Quantity::Mean, 0, &means[..]), (Quantity::Covariance, first, &elements[..])];
+    let part = |(quantity, at, units): (Quantity, usize, &[f64])| {
+        let own = moved.rows(at, units.len()).into_owned();
+        let reason = Reason::WithParameters { parameters: parameters.to_vec() };
+        let explanation = Explanation { reason, tests: Vec::new() };
+        (own.amax() > 0.0).then(|| (to_user_units(quantity, &own, units), explanation))
+    };
+    parts.into_iter().filter_map(part).collect()
 }
 
 fn examination(
@@ -182,7 +197,7 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
 /// coordinate is such a direction when diagonal entry × size² of the information is negligible against the largest such
 /// number of all coordinates and against `elsewhere`. The information is computed twice rather than stored: for many
 /// states a copy would take most of the memory.
-fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
+pub(crate) fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
     let mut scaled = information();
     let (n, diagonal) = (scaled.nrows(), scaled.diagonal());
     let own = |i: usize| diagonal[i] * sizes[i].powi(2);

@@ -9,7 +9,7 @@ use kalfit::record::{
     level_notes, shortage_notes,
 };
 use kalfit::reduce::grouping;
-use kalfit::{Alpha, Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
+use kalfit::{Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
 use kalfit_data::DataReading;
 use kalfit_report::{CheckFindings, CheckRecord, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
@@ -61,14 +61,10 @@ fn known(spec: &Spec, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<C
         }
         None => (counts, multipliers, survey) = nothing(),
     })?;
-    let model = (&spec.model, counts);
-    examined(
-        model,
-        &alpha,
-        (&reductions, None),
-        given.names(),
-        ([survey.notes(), multipliers.notes()].concat(), Vec::new()),
-    )
+    let found =
+        infer::examine_at_start(&reductions, &Structure::of(&spec.model, &alpha, None)).map_err(Failure::Fit)?;
+    let said = ([survey.notes(), multipliers.notes()].concat(), Vec::new());
+    Ok(examined((&spec.model, counts), &found, (&reductions, None), given.names(), said))
 }
 
 fn no_counts(model: &PhasedModel) -> Vec<PhaseCounts> {
@@ -114,8 +110,17 @@ fn started(
     let said = (notes, at_start_of);
     let grouping = grouping(&spec.model, &tests).map_err(|error| dynamic::failure(error.into(), &reading))?;
     let grouping = grouping.map(Arc::new);
-    let phases = (&spec.model, phases);
-    let checked = examined(phases, &alpha, (&reductions, grouping.as_ref()), given.names(), said)?;
+    let structure = Structure::of(&spec.model, &alpha, grouping.as_ref());
+    let mut found = infer::examine_at_start(&reductions, &structure).map_err(Failure::Fit)?;
+    let with_parameters = kalfit::dynamic::examine_with_parameters(
+        (&spec.model, &tests),
+        (&slots, &starts),
+        (&reductions, &structure),
+        work,
+    );
+    work.go_on()?;
+    found.extend(with_parameters.map_err(|error| dynamic::failure(error, &reading))?);
+    let checked = examined((&spec.model, phases), &found, (&reductions, grouping.as_ref()), given.names(), said);
     Ok((parameters, checked))
 }
 
@@ -137,16 +142,15 @@ fn starts(
     found.map_err(|error| dynamic::failure(error, reading))
 }
 
-/// What the reductions say.
+/// What the examination of the reductions found.
 fn examined(
     (model, counts): (&PhasedModel, Vec<PhaseCounts>),
-    alpha: &Alpha,
+    found: &infer::Examination,
     (reductions, grouping): (&Reductions, Option<&Arc<Grouping>>),
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
-) -> Result<CheckFindings, Failure> {
-    let found = infer::examine_at_start(reductions, &Structure::of(model, alpha, grouping)).map_err(Failure::Fit)?;
-    let infer::Examination { unidentified, explanations, observability, phases } = &found;
+) -> CheckFindings {
+    let infer::Examination { unidentified, explanations, observability, phases } = found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));
     notes.splice(0..0, said);
@@ -164,7 +168,7 @@ fn examined(
     };
     let phases = counts.into_iter().zip(&model.phases).map(phase).collect();
     let levels = grouping.map_or(Vec::new(), |grouping| levels(model, grouping, blind));
-    Ok(CheckFindings::Reduced { data: DataRecord::of(reductions, files), phases, levels, notes, at_start_of })
+    CheckFindings::Reduced { data: DataRecord::of(reductions, files), phases, levels, notes, at_start_of }
 }
 
 /// The levels, the outermost first. `blind` gives what is not identified of each, the innermost first.

@@ -41,7 +41,7 @@ pub struct UnlikeRecord {
     pub deviation: f64,
     /// p-value of the largest deviation of all states, as an externally studentised residual.
     pub p_value: f64,
-    /// The p-value times the number of tests, at most 1.
+    /// The p-value times the number of tests, at most 1; two tests of a unit alone count once.
     pub adjusted_p_value: f64,
 }
 
@@ -170,7 +170,7 @@ const MAX_LISTED: usize = 20;
 
 fn unlike(found: &Misfit, model: &PhasedModel) -> Vec<UnlikeRecord> {
     let names = model.estimated_names();
-    let all = found.unlike.len() as f64;
+    let all = found.comparisons as f64;
     let record = |one: &UnlikeTest| UnlikeRecord {
         test: one.test.to_string(),
         state: names.get(one.state).cloned().unwrap_or_default(),

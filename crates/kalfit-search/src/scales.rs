@@ -120,6 +120,14 @@ pub(super) fn drives(model: &PhasedModel, parameter: usize) -> bool {
     occurs(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
 }
 
+/// Whether the noise of a process with this time constant depends on no other free parameter.
+pub(super) fn has_known_size(model: &PhasedModel, time_constant: usize, is_free: &dyn Fn(usize) -> bool) -> bool {
+    let noises =
+        expressions(model).filter(|(site, e)| matches!(site, Site::ProcessNoise(_)) && e.mentions(time_constant));
+    let depends = |e: &Expression| e.parameters().into_iter().any(|other| other != time_constant && is_free(other));
+    noises.into_iter().any(|(_, e)| !depends(e))
+}
+
 /// Whether a parameter occurs in variances only as a factor beside other parameters, which give their size.
 pub(super) fn is_ratio(model: &PhasedModel, parameter: usize) -> bool {
     let is_variance = |site: &Site| matches!(site, Site::Noise(_) | Site::ProcessNoise(_));

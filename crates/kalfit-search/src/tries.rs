@@ -1,7 +1,7 @@
 //! Cheap trials of ℓ over several powers of ten of one parameter.
 
 use crate::profile_likelihood::ProfileLikelihood;
-use crate::scales::measures;
+use crate::scales::{has_known_size, measures};
 use kalfit_estimate::{Progress, Stage};
 
 /// Ratio of successive values tried for a logarithm.
@@ -130,21 +130,27 @@ fn best(
         .reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
 }
 
-/// Up to three maxima of ℓ over the trials of a parameter (`grid`), without a maximum near the first start. Noise of the
-/// measurements is tried in several sizes, as a process of another time constant explains another part of it.
+/// Up to three maxima of ℓ over the trials of a parameter (`grid`), without a maximum near the first start. Where the
+/// size of the process is known, noise of the measurements is tried in several sizes, as the process explains another part
+/// of it with another time constant.
 pub(super) fn other_maxima(
     small: &ProfileLikelihood<'_>,
     parameter: usize,
     first: &[f64],
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
-    let of_noise = |s: usize| small.coordinates[s].log && measures(small.model, small.slots.slots()[s].parameter);
+    let fixed_size = has_known_size(small.model, parameter, &|other| small.slots.is_free(other));
+    let of_noise = |s: usize| {
+        let slot = small.slots.slots()[s];
+        fixed_size && small.coordinates[s].log && slot.level.is_none() && measures(small.model, slot.parameter)
+    };
     let sized = |place: Vec<f64>| {
         let with = |size: f64| -> Vec<f64> {
             let value = |(s, &v): (usize, &f64)| if of_noise(s) { size * small.units()[s] } else { v };
             place.iter().enumerate().map(value).collect()
         };
-        let places = std::iter::once(place.clone()).chain(NOISE_SIZES.map(with)).collect();
+        let sizes = if fixed_size { &NOISE_SIZES[..] } else { &[] };
+        let places = std::iter::once(place.clone()).chain(sizes.iter().copied().map(with)).collect();
         let found = with_likelihood(small, places, progress);
         let best = found.into_iter().reduce(|best, next| if next.1 > best.1 { next } else { best });
         best.unwrap_or((place, f64::NEG_INFINITY))

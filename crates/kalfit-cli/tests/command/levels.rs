@@ -267,3 +267,27 @@ fn expected_standard_errors_of_a_balanced_design_are_observed_ones() {
         assert!((expected / observed - 1.0).abs() < 1e-5, "expected {expected}, observed {observed}");
     }
 }
+
+/// A run widens the spread that it is judged by, and in units of two runs each differs from the other alone.
+#[test]
+fn a_run_that_is_far_from_the_other_run_of_its_unit_is_named() {
+    let scatter = |k: u32| f64::from((k.wrapping_mul(2_654_435_761) >> 8) % 2001) / 1000.0 - 1.0;
+    let mut text = "run,unit,y\n".to_owned();
+    for unit in 0..12 {
+        for run in 0..2 {
+            let shift = if (unit, run) == (4, 1) { 1.2 } else { 0.0 };
+            let level = 3.0 * scatter(unit + 1) + 0.17 * scatter(100 + 2 * unit + run) + shift;
+            for row in 0..4 {
+                text.push_str(&format!(
+                    "r{run},u{unit:02},{}\n",
+                    level + 0.05 * scatter(1000 + 8 * unit + 4 * run + row)
+                ));
+            }
+        }
+    }
+    let model = "[data]\ntest = \"run\"\nlevels = [\"unit\"]\n[states.level]\n[measurements.y]\ncolumn = \"y\"\nequation = \"level\"\nnoise = \"sigma\"\n[parameters]\nsigma = {}\n";
+    let folder = Folder::new(&[("m.toml", model.as_bytes()), ("d.csv", text.as_bytes())]);
+    let said = shown(&folder.run("fit m.toml d.csv")).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("Model check doubtful"), "{said}");
+    assert!(said.contains("is unlike the other tests of its groups") && said.contains("u04/r"), "{said}");
+}

@@ -137,3 +137,35 @@ fn a_factor_of_a_process_is_not_told_from_its_noise() {
         assert_eq!(parameter(&found, name)["std_error"], Value::Null, "{name}: {text}");
     }
 }
+
+/// Values without a pattern.
+fn scattered(k: usize) -> f64 {
+    ((k * k * 7 + 3 * k) % 19) as f64 / 5.0
+}
+
+#[test]
+fn check_knows_what_a_fit_would_not_identify_with_its_parameters() {
+    let one_each = "[data]\ntest = \"unit\"\n[states.bias]\n[measurements.y]\ncolumn = \"y\"\nequation = \"bias\"\nnoise = \"sigma\"\n[parameters]\nsigma = {}\n";
+    let long = one_each
+        .replace("[states.bias]", "[states.bias]\n[states.gain]")
+        .replace("equation = \"bias\"", "equation = \"if(which == 'a', bias, gain)\"");
+    let wide = long.replace("column = \"y\"", "column = \"a\"").replace("if(which == 'a', bias, gain)", "bias")
+        + "[measurements.z]\ncolumn = \"b\"\nequation = \"gain\"\nnoise = \"sigma\"\n";
+    let table =
+        |head: &str, row: &dyn Fn(usize) -> String| (0..12).map(row).fold(format!("{head}\n"), |all, row| all + &row);
+    let cases = [
+        ("one value each", one_each.to_owned(), table("unit,y", &|k| format!("u{k},{}\n", scattered(k)))),
+        ("long", long, table("unit,which,y", &|k| format!("u{k},a,{}\nu{k},b,{}\n", scattered(k), scattered(k + 50)))),
+        ("wide", wide, table("unit,a,b", &|k| format!("u{k},{},{}\n", scattered(k), scattered(k + 50)))),
+    ];
+    for (what, model, data) in cases {
+        let folder = Folder::new(&[("m.toml", model.as_bytes()), ("d.csv", data.as_bytes())]);
+        let said = shown(&folder.run("check m.toml d.csv")).split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains("Not identified: the "), "{what}: {said}");
+        assert!(said.contains("Other values fit the data as well with another value of `sigma`."), "{what}: {said}");
+        let twice = data.clone() + &data.lines().skip(1).map(|row| format!("{row}1\n")).collect::<String>();
+        folder.write("twice.csv", twice.as_bytes());
+        let said = shown(&folder.run("check m.toml twice.csv"));
+        assert!(said.contains("The data identify all free elements"), "{what}, measured twice: {said}");
+    }
+}

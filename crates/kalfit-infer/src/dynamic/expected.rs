@@ -4,6 +4,7 @@
 //! are white.
 
 use std::collections::BTreeMap;
+use std::ops::AddAssign;
 
 use nalgebra::{DMatrix, DVector};
 
@@ -51,13 +52,16 @@ pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
 }
 
+/// The points after a step up and down of one coordinate, with the distance between the two.
+pub(super) type EvaluationPair = ([EvaluationPoint; 2], f64);
+
 /// The points after a step up and down of one value of α, with the distance between the two; `None` where ℓ is not
 /// defined there.
 pub(super) fn along_value(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     s: usize,
-) -> Result<Option<([EvaluationPoint; 2], f64)>, DynamicError> {
+) -> Result<Option<EvaluationPair>, DynamicError> {
     let coordinate = &objective.coordinates[s];
     let step = coordinate.step(fit.sought[s], STEP);
     let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
@@ -101,7 +105,7 @@ pub(super) fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTes
 /// two.
 pub(super) struct Directions {
     pub(super) centre: EvaluationPoint,
-    pub(super) all: Vec<([EvaluationPoint; 2], f64)>,
+    pub(super) all: Vec<EvaluationPair>,
 }
 
 impl Directions {
@@ -233,24 +237,28 @@ impl TangentFilter {
 
     /// Predicts over a motion: x̂ → φx̂ + b, P → φPφ' + Q.
     fn advance(&mut self, own: &MotionValues, slopes: &[&MotionValues]) {
-        let ((to, carried_slope), k) = (own.phi.shape(), slopes.len());
-        let mut map = DMatrix::zeros(to * (k + 1), carried_slope * (k + 1));
-        map.view_mut((0, 0), (to, carried_slope)).copy_from(&own.phi);
-        let mut input = DVector::zeros(to * (k + 1));
-        input.rows_mut(0, to).copy_from(&own.input);
+        let to = own.phi.nrows();
+        let stays = own.phi.is_square() && own.phi.is_identity(0.0);
+        let moves = !stays || slopes.iter().any(|slope| slope.phi.iter().any(|x| *x != 0.0));
         let before = std::mem::replace(&mut self.variance, DMatrix::zeros(0, 0));
-        for (a, slope) in slopes.iter().enumerate() {
-            map.view_mut((to * (a + 1), carried_slope * (a + 1)), (to, carried_slope)).copy_from(&own.phi);
-            map.view_mut((to * (a + 1), 0), (to, carried_slope)).copy_from(&slope.phi);
-            input.rows_mut(to * (a + 1), to).copy_from(&slope.input);
-            let turned = &slope.phi * &before * own.phi.transpose();
-            self.slopes[a] =
-                &own.phi * &self.slopes[a] * own.phi.transpose() + &turned + turned.transpose() + &slope.noise;
+        if moves {
+            for (a, slope) in slopes.iter().enumerate() {
+                let turned = &slope.phi * &before * own.phi.transpose();
+                self.slopes[a] = &own.phi * &self.slopes[a] * own.phi.transpose() + &turned + turned.transpose();
+            }
+            self.variance = &own.phi * before * own.phi.transpose();
+            let mean = DMatrix::from_column_slice(self.mean.len(), 1, self.mean.as_slice());
+            self.mean = stacked(own, slopes, &mean).column(0).clone_owned();
+            let half = stacked(own, slopes, &self.spread);
+            self.spread = stacked(own, slopes, &half.transpose());
+        } else {
+            self.variance = before;
         }
         self.n = to;
-        self.variance = &own.phi * before * own.phi.transpose() + &own.noise;
-        self.mean = &map * &self.mean + input;
-        self.spread = &map * &self.spread * map.transpose();
+        self.variance += &own.noise;
+        let inputs = std::iter::once(&own.input).chain(slopes.iter().map(|slope| &slope.input));
+        inputs.enumerate().for_each(|(a, input)| self.mean.rows_mut(to * a, to).add_assign(input));
+        self.slopes.iter_mut().zip(slopes).for_each(|(own, slope)| own.add_assign(&slope.noise));
     }
 
     /// Updates by a measurement z = h'x + d + v, whose innovation is informative through its variance and its mean.
@@ -297,4 +305,17 @@ impl TangentFilter {
         }
         self.variance -= &gain * gain.transpose() * variance;
     }
+}
+
+/// The rows of u = (x̂, tangents of x̂) after a motion: φx̂, and φx̂_a + φ_a x̂ for each tangent.
+fn stacked(own: &MotionValues, slopes: &[&MotionValues], before: &DMatrix<f64>) -> DMatrix<f64> {
+    let ((to, from), columns) = (own.phi.shape(), before.ncols());
+    let mut after = DMatrix::zeros(to * (slopes.len() + 1), columns);
+    for a in 0..=slopes.len() {
+        after.rows_mut(to * a, to).gemm(1.0, &own.phi, &before.rows(from * a, from), 0.0);
+        if let Some(slope) = a.checked_sub(1).map(|a| slopes[a]).filter(|slope| slope.phi.iter().any(|x| *x != 0.0)) {
+            after.rows_mut(to * a, to).gemm(1.0, &slope.phi, &before.rows(0, from), 1.0);
+        }
+    }
+    after
 }

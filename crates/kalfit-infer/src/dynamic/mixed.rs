@@ -7,19 +7,20 @@
 use nalgebra::DMatrix;
 
 use crate::SharedProgress;
-use crate::dynamic::expected::{Directions, along_value, is_possible, units};
+use crate::dynamic::expected::{Directions, EvaluationPair, along_value, is_possible, units};
 use crate::dynamic::stepwise::{EvaluationPoint, GroupedTest};
 use crate::holds_any;
 use crate::law::AsymptoticLaw;
-use kalfit_estimate::{Criterion, Mixed};
+use kalfit_estimate::{Criterion, Mixed, Problem};
 use kalfit_filter::score::InitialLaw;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_search::{DynamicError, DynamicFit, ProfileLikelihood};
 
 /// Largest number of values that adapt; with more values, score tests treat α as known.
 const MAX_VALUES: usize = 24;
-/// Number of elements of (μ, Σ) in one pass of the filters.
-const ELEMENTS_PER_PASS: usize = 8;
+/// Largest number of elements of (μ, Σ) in one pass of the filters. A pass with k values of α costs the square or the cube
+/// of k and the elements together, so that as many elements as values cost least.
+const MOST_ELEMENTS_PER_PASS: usize = 8;
 /// Largest number of multiplications for this information: with more, it comes from evenly chosen tests.
 const MOST_MULTIPLICATIONS: f64 = 5e8;
 
@@ -63,25 +64,39 @@ fn information(
     fit: &DynamicFit,
     progress: &SharedProgress<'_>,
 ) -> Result<Option<[DMatrix<f64>; 2]>, DynamicError> {
-    let (shared, elements) = (fit.joint.shared(), element_laws(fit));
-    let (k, count) = (shared.len(), elements.len());
-    let units = units(objective);
+    let (shared, law) = (fit.joint.shared(), fit.estimate.state.law());
+    let laws = ElementLaws::of(&fit.estimate.state.problem, &law);
+    let place = |law| EvaluationPoint::new(objective, &fit.alpha, law);
+    let values = || shared.iter().map(|&s| along_value(objective, fit, s)).collect();
+    of_elements(objective, (&units(objective), shared.len()), &values, (&laws, &place, &law), progress)
+}
+
+/// The information of [`information`] at any point. `values`: the pairs of points along each of k values of α; `place`: the
+/// point with another law of ξ than `law`. `None` where a pair is not defined, and once `progress` stops.
+pub(super) fn of_elements(
+    objective: &ProfileLikelihood<'_>,
+    (units, k): (&[Vec<GroupedTest<'_>>], usize),
+    values: &dyn Fn() -> Result<Option<Vec<EvaluationPair>>, DynamicError>,
+    (laws, place, law): (
+        &ElementLaws,
+        &(dyn Fn(InitialLaw) -> Result<EvaluationPoint, DynamicError> + Sync),
+        &InitialLaw,
+    ),
+    progress: &SharedProgress<'_>,
+) -> Result<Option<[DMatrix<f64>; 2]>, DynamicError> {
+    let count = laws.0.len();
     let every = stride(objective, units.len(), k, count);
     let chosen: Vec<&Vec<GroupedTest<'_>>> = units.iter().step_by(every).collect();
     let rows = |unit: &Vec<GroupedTest<'_>>| unit.iter().map(|member| rows_of(member.test)).sum::<usize>() as f64;
     let share = units.iter().map(rows).sum::<f64>() / chosen.iter().map(|unit| rows(unit)).sum::<f64>().max(1.0);
     let (mut of_values, mut with_elements) = (DMatrix::zeros(k, k), DMatrix::zeros(k, count));
-    for (number, chunk) in elements.chunks(ELEMENTS_PER_PASS).enumerate() {
-        let mut all = Vec::new();
-        for &s in shared {
-            let Some(own) = along_value(objective, fit, s)? else { return Ok(None) };
-            all.push(own);
-        }
-        let place = |law: &InitialLaw| EvaluationPoint::new(objective, &fit.alpha, law.clone());
+    let of_a_pass = k.clamp(1, MOST_ELEMENTS_PER_PASS);
+    for (number, chunk) in laws.0.chunks(of_a_pass).enumerate() {
+        let Some(mut all) = values()? else { return Ok(None) };
         for (sides, width) in chunk {
-            all.push(([place(&sides[0])?, place(&sides[1])?], *width));
+            all.push(([place(sides[0].clone())?, place(sides[1].clone())?], *width));
         }
-        let directions = Directions { centre: place(&fit.estimate.state.law())?, all };
+        let directions = Directions { centre: place(law.clone())?, all };
         let Some(parts) = progress.each(chosen.len(), |at| directions.information(chosen[at], progress)) else {
             return Ok(None);
         };
@@ -90,7 +105,7 @@ fn information(
             sum += part.map_err(|error| DynamicError::Reduce(Box::new(error)))?;
         }
         of_values.copy_from(&(sum.view((0, 0), (k, k)) * share));
-        let first = number * ELEMENTS_PER_PASS;
+        let first = number * of_a_pass;
         with_elements.columns_mut(first, chunk.len()).copy_from(&(sum.view((0, k), (k, chunk.len())) * share));
     }
     Ok((!progress.stops()).then_some([of_values, with_elements]))
@@ -100,9 +115,10 @@ fn information(
 fn stride(objective: &ProfileLikelihood<'_>, units: usize, k: usize, elements: usize) -> usize {
     let states = objective.model.phases.iter().map(|phase| phase.model.states.len()).max().unwrap_or(0);
     let states = states + objective.model.levels.len() * objective.model.dimension();
-    let stacked = (states * (k + ELEMENTS_PER_PASS.min(elements) + 1)) as f64;
+    let of_a_pass = k.clamp(1, MOST_ELEMENTS_PER_PASS);
+    let stacked = (states * (k + of_a_pass.min(elements) + 1)) as f64;
     let rows = objective.tests.iter().map(rows_of).sum::<usize>() as f64;
-    let work = elements.div_ceil(ELEMENTS_PER_PASS) as f64 * rows * stacked * stacked;
+    let work = elements.div_ceil(of_a_pass) as f64 * rows * stacked * stacked;
     let wanted = (work / MOST_MULTIPLICATIONS).ceil().max(1.0) as usize;
     wanted.min(units.max(1))
 }
@@ -112,10 +128,22 @@ fn rows_of(test: &PhasedTest) -> usize {
     test.phases.iter().map(of).sum()
 }
 
-/// Laws of ξ above and below the estimate along each element of (mean coordinates, Σ), and their distance in η.
-fn element_laws(fit: &DynamicFit) -> Vec<([InitialLaw; 2], f64)> {
-    let state = &fit.estimate.state;
-    let (problem, law) = (&state.problem, state.law());
+/// Laws of ξ above and below a law along each element of (mean coordinates, Σ), and their distance in η.
+pub(super) struct ElementLaws(Vec<([InitialLaw; 2], f64)>);
+
+impl ElementLaws {
+    pub(super) fn of(problem: &Problem, law: &InitialLaw) -> ElementLaws {
+        ElementLaws(element_laws(problem, law))
+    }
+
+    /// The laws along some of the elements.
+    pub(super) fn only(self, elements: &[usize]) -> ElementLaws {
+        let mut all: Vec<_> = self.0.into_iter().map(Some).collect();
+        ElementLaws(elements.iter().filter_map(|&e| all[e].take()).collect())
+    }
+}
+
+fn element_laws(problem: &Problem, law: &InitialLaw) -> Vec<([InitialLaw; 2], f64)> {
     let (scale, p) = (&problem.classes.frame.scale, law.root.nrows());
     let moved = |change: &dyn Fn(&mut InitialLaw, f64)| {
         [1.0, -1.0].map(|sign| {

@@ -1,5 +1,6 @@
 //! Uncertainty where α is free: standard errors, intervals and likelihood-ratio tests of a fit whose α was sought.
 
+mod at_start;
 mod branches;
 mod expected;
 mod held_profile;
@@ -15,6 +16,7 @@ mod stepwise;
 #[cfg(test)]
 mod tests;
 
+pub use at_start::examine_with_parameters;
 pub use inference::infer;
 pub use interval::MOST_PROFILED;
 pub use mean_limits::{MeansAt, mean_limits};

@@ -78,6 +78,8 @@ pub struct Misfit {
     pub normality: Option<Normality>,
     /// Distance of each test from the other tests of its groups; empty without levels.
     pub unlike: Vec<UnlikeTest>,
+    /// Number of different comparisons in `unlike`: two tests of a unit differ from each other by one and the same amount.
+    pub comparisons: usize,
     /// Measurements that contradict the others of their test: at most one of each test that has a large innovation.
     pub wrong_rows: Vec<WrongRow>,
     /// Number of innovations of each test and their square sum under the law of the whole model; empty without levels.
@@ -176,7 +178,9 @@ fn whole(
         }
         for mut unit in columns.of_units(batch, tests) {
             if let Some(grouping) = of.grouping {
-                found.unlike.extend(unlike::distances(&unit, grouping, columns.roots(), columns.states()));
+                let distances = unlike::distances(&unit, grouping, columns.roots(), columns.states());
+                found.comparisons += if unit.tests.len() == 2 { distances.len().min(1) } else { distances.len() };
+                found.unlike.extend(distances);
                 levels::whiten(&mut unit, of.grouping, columns.roots(), columns.states());
                 found.by_test.extend(unit.squares());
             }
