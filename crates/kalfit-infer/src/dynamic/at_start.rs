@@ -23,8 +23,8 @@ const MIN_COMPONENT: f64 = 1e-3;
 const MAX_VALUES: usize = 24;
 
 /// Directions of (μ, Σ) along which other values of α fit as well, at the free values `starts` of α, in the order of
-/// `slots`. `reductions`: those at these values. Empty where tests are not given by rows, where no value or more than 24 values are free,
-/// and where the information does not exist at the start.
+/// `slots`. `reductions`: those at these values. Empty where tests are not given by rows, where no value or more than 24
+/// values are free, and where the information does not exist at the start.
 ///
 /// # Errors
 /// A test cannot be evaluated at the start.
