@@ -68,14 +68,15 @@ fn information(
     let laws = ElementLaws::of(&fit.estimate.state.problem, &law);
     let place = |law| EvaluationPoint::new(objective, &fit.alpha, law);
     let values = || shared.iter().map(|&s| along_value(objective, fit, s)).collect();
-    of_elements(objective, (&units(objective), shared.len()), &values, (&laws, &place, &law), progress)
+    let sizes = (shared.len(), MOST_MULTIPLICATIONS);
+    of_elements(objective, (&units(objective), sizes), &values, (&laws, &place, &law), progress)
 }
 
-/// The information of [`information`] at any point. `values`: the pairs of points along each of k values of α; `place`: the
-/// point with another law of ξ than `law`. `None` where a pair is not defined, and once `progress` stops.
+/// The information of [`information`] at any point. `most`: number of multiplications from which on it comes from
+/// evenly chosen units; `values`: the pairs of points along each of k values of α; `place`: the point with another law of ξ than `law`. `None` where a pair is not defined, and once `progress` stops.
 pub(super) fn of_elements(
     objective: &ProfileLikelihood<'_>,
-    (units, k): (&[Vec<GroupedTest<'_>>], usize),
+    (units, (k, most)): (&[Vec<GroupedTest<'_>>], (usize, f64)),
     values: &dyn Fn() -> Result<Option<Vec<EvaluationPair>>, DynamicError>,
     (laws, place, law): (
         &ElementLaws,
@@ -85,7 +86,7 @@ pub(super) fn of_elements(
     progress: &SharedProgress<'_>,
 ) -> Result<Option<[DMatrix<f64>; 2]>, DynamicError> {
     let count = laws.0.len();
-    let every = stride(objective, units.len(), k, count);
+    let every = stride(objective, units.len(), (k, count), most);
     let chosen: Vec<&Vec<GroupedTest<'_>>> = units.iter().step_by(every).collect();
     let rows = |unit: &Vec<GroupedTest<'_>>| unit.iter().map(|member| rows_of(member.test)).sum::<usize>() as f64;
     let share = units.iter().map(rows).sum::<f64>() / chosen.iter().map(|unit| rows(unit)).sum::<f64>().max(1.0);
@@ -111,15 +112,15 @@ pub(super) fn of_elements(
     Ok((!progress.stops()).then_some([of_values, with_elements]))
 }
 
-/// One of so many units of tests is used, such that the work stays within [`MOST_MULTIPLICATIONS`].
-fn stride(objective: &ProfileLikelihood<'_>, units: usize, k: usize, elements: usize) -> usize {
+/// One of so many units of tests is used, such that the work stays within `most` multiplications.
+fn stride(objective: &ProfileLikelihood<'_>, units: usize, (k, elements): (usize, usize), most: f64) -> usize {
     let states = objective.model.phases.iter().map(|phase| phase.model.states.len()).max().unwrap_or(0);
     let states = states + objective.model.levels.len() * objective.model.dimension();
     let of_a_pass = k.clamp(1, MOST_ELEMENTS_PER_PASS);
     let stacked = (states * (k + of_a_pass.min(elements) + 1)) as f64;
     let rows = objective.tests.iter().map(rows_of).sum::<usize>() as f64;
     let work = elements.div_ceil(of_a_pass) as f64 * rows * stacked * stacked;
-    let wanted = (work / MOST_MULTIPLICATIONS).ceil().max(1.0) as usize;
+    let wanted = (work / most).ceil().max(1.0) as usize;
     wanted.min(units.max(1))
 }
 
