@@ -143,7 +143,9 @@ class Fit(FitRecord):
         writes them: ``test``, ``phase``, ``file``, ``measurement``, ``row``, ``time``, ``deviation``, ``std_dev``, ``p_value`` and
         ``adjusted_p_value``. This takes pandas.
         """
-        rows = (self._record.get("misfit") or {}).get("wrong_rows", [])
+        if self.misfit is None:
+            raise ValueError("this fit has no innovations, by which single measurements are examined")
+        rows = self.misfit["wrong_rows"]
         numbers = ["row", "time", "deviation", "std_dev", "p_value", "adjusted_p_value"]
         return data_frame(rows, ["test", "phase", "file", "measurement"], numbers, [])
 

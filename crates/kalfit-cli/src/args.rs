@@ -183,7 +183,7 @@ pub(crate) struct FitArgs {
     pub(crate) constraints: Option<PathBuf>,
 
     /// File for a table of the measurements that contradict the others of their test
-    #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
+    #[arg(long, help_heading = OUTPUT, value_name = "FILE", conflicts_with = "no_tests")]
     pub(crate) rows: Option<PathBuf>,
 
     /// How free dynamic parameters are estimated

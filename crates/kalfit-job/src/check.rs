@@ -111,15 +111,14 @@ fn started(
     let grouping = grouping(&spec.model, &tests).map_err(|error| dynamic::failure(error.into(), &reading))?;
     let grouping = grouping.map(Arc::new);
     let structure = Structure::of(&spec.model, &alpha, grouping.as_ref());
-    let mut found = infer::examine_at_start(&reductions, &structure).map_err(Failure::Fit)?;
-    let with_parameters = kalfit::dynamic::examine_with_parameters(
+    let found = kalfit::dynamic::examine_with_parameters(
         (&spec.model, &tests),
         (&slots, &starts),
         (&reductions, &structure),
         work,
     );
     work.go_on()?;
-    found.extend(with_parameters.map_err(|error| dynamic::failure(error, &reading))?);
+    let found = found.map_err(|error| dynamic::failure(error, &reading))?;
     let checked = examined((&spec.model, phases), &found, (&reductions, grouping.as_ref()), given.names(), said);
     Ok((parameters, checked))
 }
@@ -142,7 +141,7 @@ fn starts(
     found.map_err(|error| dynamic::failure(error, reading))
 }
 
-/// What the examination of the reductions found.
+/// The record of an examination of the reductions.
 fn examined(
     (model, counts): (&PhasedModel, Vec<PhaseCounts>),
     found: &infer::Examination,

@@ -140,6 +140,12 @@ pub enum Failure {
         /// Why.
         why: &'static str,
     },
+    /// A table of rows of a fit that did not examine single measurements.
+    #[error("`--rows` has nothing to write: {why}")]
+    NoRows {
+        /// Why.
+        why: &'static str,
+    },
     /// No limits by profile likelihood.
     #[error("limits by profile likelihood are not possible: {why}")]
     NoProfile {
@@ -403,6 +409,9 @@ impl Failure {
             Failure::Sums(error) => error.hint().map(str::to_owned),
             Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
+            Failure::NoRows { .. } => {
+                Some("leave out `--innovations off`, and give the tests by their measurements".to_owned())
+            }
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
             Failure::Truth(error) => error.hint(),
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),

@@ -124,6 +124,10 @@ fn known<'m>(
             let model = &spec.model;
             let of = FittedEnsemble { model, alpha: &alpha, population: &population, tests, grouping: None };
             innovations::add_misfit(&mut record, &of, work);
+        } else {
+            let note =
+                "misfit that tests have in common was not looked for: the data are too large to be kept in memory";
+            record.notes.push(note.to_owned());
         }
         record.solver.seconds = work.seconds();
     }

@@ -29,6 +29,9 @@ impl FitFiles {
             let table = OutputTable::prepare(&path.clone().into(), read)?;
             Ok(table.map(|table| (kind, table)))
         };
+        if job.tables.rows.is_some() && !job.innovations {
+            return Err(Failure::NoRows { why: "single measurements are examined by innovations, which are off" });
+        }
         let tables: Result<Vec<Option<(FitTableKind, OutputTable)>>, Failure> =
             job.tables.all().into_iter().map(table).collect();
         let files = FitFiles {
@@ -76,20 +79,19 @@ impl FitFiles {
             written.note(vec![page.name()], report::write(page, &html).map_err(Failure::from));
         }
         if wanted(work) {
-            match self.tables(record) {
-                Ok(tables) => {
-                    let names = tables.iter().map(PendingFile::name).collect();
-                    written.note(names, tables.into_iter().try_for_each(|one| Ok(one.finish().map(drop)?)));
+            let mut whole = Vec::new(); // none is in place before all are made
+            for (kind, table) in &self.tables {
+                match tables::pending(table, record, *kind) {
+                    Ok(table) => whole.push(table),
+                    Err(failure) => written.failed.push(failure),
                 }
-                Err(failure) => written.failed.push(failure),
+            }
+            let names: Vec<String> = whole.iter().map(PendingFile::name).collect();
+            if !names.is_empty() {
+                written.note(names, whole.into_iter().try_for_each(|one| Ok(one.finish().map(drop)?)));
             }
         }
         written.or_failed()
-    }
-
-    /// The tables, whole; none is in place yet.
-    fn tables(&self, record: &FitRecord) -> Result<Vec<PendingFile<'_>>, Failure> {
-        self.tables.iter().map(|(kind, table)| tables::pending(table, record, *kind)).collect()
     }
 }
 

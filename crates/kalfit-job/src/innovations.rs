@@ -161,14 +161,15 @@ pub(crate) fn add(
     finish(record, found);
 }
 
-/// Adds the misfit that tests have in common to the record; nothing where it cannot be looked for.
+/// Adds the misfit that tests have in common to the record, or a note that says why it was not looked for.
 pub(crate) fn add_misfit(record: &mut FitRecord, of: &FittedEnsemble<'_>, work: &mut JobWork<'_>) {
     let found = misfit(of, &mut |share| {
         work.share("misfit in common", (1e3 * share) as u64, 1000);
         !work.is_stopped()
     });
-    if let Ok(found) = found {
-        record.set_misfit(&found, of.model);
+    match found {
+        Ok(found) => record.set_misfit(&found, of.model),
+        Err(error) => record.notes.push(format!("misfit that tests have in common was not looked for: {error}")),
     }
 }
 

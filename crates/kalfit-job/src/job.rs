@@ -13,12 +13,11 @@ use kalfit_data::{Datum, Input};
 use kalfit_report::PlotKind;
 use serde::Serialize;
 
-use crate::tables::FitTableKind;
-
 use crate::document::Document;
 use crate::export::format::ExportFormat;
 use crate::failure::Failure;
 use crate::output::OutputFile;
+use crate::tables::FitTableKind;
 
 /// Which model.
 #[derive(Debug, Clone)]

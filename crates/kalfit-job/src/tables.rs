@@ -1,5 +1,4 @@
-//! What a fit found as tables: its tests, its parameters, its constraints, its suspicious rows. Their numbers are those of
-//! fit.json.
+//! Tables of a fit: of tests, parameters, constraints and suspicious rows, with the numbers of fit.json.
 
 use std::fs::File;
 
@@ -48,8 +47,9 @@ pub(crate) fn pending<'t>(
         FitTableKind::Parameters => listed(table, &QuantityRecord::FIGURES, &record.quantities()),
         FitTableKind::Constraints => listed(table, &ConstraintRecord::FIGURES, &record.constraints),
         FitTableKind::Rows => {
-            let rows = record.misfit.as_ref().map_or(&[][..], |misfit| &misfit.wrong_rows);
-            listed(table, &WrongRowRecord::FIGURES, rows)
+            let why = "the fit has no innovations of any test, as its notes say";
+            let misfit = record.misfit.as_ref().ok_or(Failure::NoRows { why })?;
+            listed(table, &WrongRowRecord::FIGURES, &misfit.wrong_rows)
         }
     }
 }

@@ -212,3 +212,29 @@ fn files_that_cannot_be_are_refused_before_the_work() {
     For more information, try '--help'.
     ");
 }
+
+/// A table without rows would say that every measurement agrees with the others.
+#[test]
+fn rows_that_were_not_examined_are_no_empty_table() {
+    let folder = Folder::new(&[]);
+    folder.copy("../../examples/random-coefficients/sleepstudy.toml");
+    folder.copy("../../examples/random-coefficients/sleepstudy.csv");
+    let fit = |options: &str| {
+        folder.run(&format!("fit sleepstudy.toml sleepstudy.csv --set sigma=25.6 --rows rows.csv {options}"))
+    };
+    for (option, said) in [
+        (
+            "--innovations off",
+            "`--rows` has nothing to write: single measurements are examined by innovations, which are off",
+        ),
+        ("--no-tests", "cannot be used with"),
+    ] {
+        let output = fit(option);
+        assert_eq!(output.status.code(), Some(2), "{option}");
+        assert!(shown(&output).contains(said), "{option}: {}", shown(&output));
+        assert!(!folder.path("rows.csv").exists(), "{option}");
+    }
+    assert_eq!(fit("").status.code(), Some(0));
+    let table = folder.table("rows.csv");
+    assert_eq!((table[0]["test"].as_str(), table[0]["row"].as_str()), ("332", "58"));
+}
