@@ -22,7 +22,7 @@ use kalfit_filter::reduce::Reductions;
 
 /// An element whose weight is below this fraction of the largest weight is not part of a direction computed by
 /// differences.
-const MIN_DIFFERENCED_WEIGHT: f64 = 1e-3;
+pub(crate) const MIN_DIFFERENCED_WEIGHT: f64 = 1e-3;
 
 /// What the data do not identify and why, and which tests inform each state.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,7 +40,16 @@ pub struct Examination {
 /// Examines identifiability before any fit, at the start values.
 pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, point, sums) = kalfit_estimate::at_start(reductions, structure)?;
-    Ok(examination((&problem, &point, &sums), structure, (reductions, reductions), phases(&problem, reductions)))
+    Ok(examine_at((&problem, &point, &sums), structure, reductions))
+}
+
+/// Examines identifiability at a point.
+pub(crate) fn examine_at(
+    at: (&Problem, &Point, &Sums),
+    structure: &Structure<'_>,
+    reductions: &Reductions,
+) -> Examination {
+    examination(at, structure, (reductions, reductions), phases(at.0, reductions))
 }
 
 /// Examines identifiability at an estimate; `evidence`: the reductions whose likelihood was maximised.
@@ -55,7 +64,7 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
 
 impl Examination {
     /// Adds directions; one that is known already keeps its first reason, with the parameters of the other.
-    pub fn extend(&mut self, directions: Vec<(Direction, Explanation)>) {
+    pub(crate) fn extend(&mut self, directions: Vec<(Direction, Explanation)>) {
         for (direction, explanation) in directions {
             match self.unidentified.iter().position(|other| is_same(other, &direction)) {
                 Some(at) => self.explanations[at].also(&explanation),

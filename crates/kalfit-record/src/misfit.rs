@@ -50,7 +50,7 @@ figures! {
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     pub struct WrongRowRecord {
         /// Id of the test.
-        pub test: String = figure { heading: "test" },
+        pub test: String = figure {},
         /// Name of the phase.
         pub phase: String = figure {},
         /// Data file; null for data without a file.
@@ -60,7 +60,7 @@ figures! {
         /// Time of the step; null where the model has no times.
         pub time: Option<f64> = figure {},
         /// Name of the measurement.
-        pub measurement: String = figure { heading: "measurement" },
+        pub measurement: String = figure {},
         /// Deviation from what all other measurements of the test say, in the unit of the measurement.
         pub deviation: f64 = figure {},
         /// Standard deviation of `deviation` when the model is right.

@@ -5,82 +5,84 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::SharedProgress;
 use crate::direction::Direction;
-use crate::dynamic::expected::{EvaluationPair, is_possible, units};
-use crate::dynamic::mixed::{ElementLaws, of_elements};
+use crate::dynamic::expected::{EvaluationPair, is_possible, sides, units};
+use crate::dynamic::mixed::{ElementLaws, MAX_VALUES, of_elements, stride};
 use crate::dynamic::stepwise::EvaluationPoint;
-use crate::identifiability::{null_space, parts_with_parameters};
+use crate::identifiability::{Examination, MIN_DIFFERENCED_WEIGHT, examine_at, null_space, parts_with_parameters};
 use crate::reason::Explanation;
 use kalfit_algebra::sparse::Sparse;
-use kalfit_estimate::{Objective, Problem, Progress, Structure, Sums, law_at};
+use kalfit_estimate::{Objective, Point, Problem, Progress, Structure, Sums, law_at};
 use kalfit_filter::reduce::Reductions;
-use kalfit_model::{PhasedModel, PhasedTest, Slots};
+use kalfit_filter::score::InitialLaw;
+use kalfit_model::{Alpha, PhasedModel, PhasedTest, Slots};
 use kalfit_search::{DynamicError, ProfileLikelihood, Settings};
 
-/// Step of a coordinate of α, for differences of coefficients.
-const STEP: f64 = 1e-4;
-/// Component of a unit vector, in coordinates of unit information, above which the coordinate takes part.
-const MIN_COMPONENT: f64 = 1e-3;
 /// Multiplications of a first look, a fraction of a second: where evenly chosen units of tests determine everything, all
 /// tests do.
 const FEW_MULTIPLICATIONS: f64 = 5e7;
-/// Largest number of free values of α for which the information is computed.
-const MAX_VALUES: usize = 24;
-
-/// Directions of (μ, Σ) along which other values of α fit as well, at the free values `starts` of α, in the order of
-/// `slots`. `reductions`: those at these values. Empty where tests are not given by rows, where no value or more than 24
-/// values are free, and where the information does not exist at the start.
+/// What the data do not identify at the free values `starts` of α, in the order of `slots`: as
+/// [`examine_at_start`](crate::examine_at_start), and directions of (μ, Σ) along which other values of α fit as well.
+/// `reductions`: those at the start. Directions with values of α are left out where tests are not given by rows, where more
+/// than 24 values are free, and where the information does not exist at the start.
 ///
 /// # Errors
-/// A test cannot be evaluated at the start.
+/// As of [`examine_at_start`](crate::examine_at_start); a test cannot be evaluated at the start.
 pub fn examine_with_parameters(
     (model, tests): (&PhasedModel, &[PhasedTest]),
     (slots, starts): (&Slots, &[f64]),
     (reductions, structure): (&Reductions, &Structure<'_>),
     progress: &mut dyn Progress,
-) -> Result<Vec<(Direction, Explanation)>, DynamicError> {
+) -> Result<Examination, DynamicError> {
+    let at = kalfit_estimate::at_start(reductions, structure).map_err(DynamicError::Fit)?;
+    let mut found = examine_at((&at.0, &at.1, &at.2), structure, reductions);
     let settings = Settings::default();
-    let objective = &ProfileLikelihood::new(model, tests, slots, &settings);
-    let progress = &SharedProgress::new(progress, None);
-    let k = starts.len();
-    if k == 0 || k > MAX_VALUES || reductions.remote().is_some() || !is_possible(objective) {
-        return Ok(Vec::new());
+    let objective = ProfileLikelihood::new(model, tests, slots, &settings);
+    let is_small = (1..=MAX_VALUES).contains(&starts.len());
+    if is_small && reductions.remote().is_none() && is_possible(&objective) {
+        let progress = &SharedProgress::new(progress, None);
+        found.extend(with_parameters(&objective, starts, (&at.0, &at.1, &at.2), progress)?);
     }
-    let (problem, point, sums) = kalfit_estimate::at_start(reductions, structure).map_err(DynamicError::Fit)?;
-    let (law, sought) = (law_at(&problem, &point), objective.sought(starts));
+    Ok(found)
+}
+
+/// Directions of (μ, Σ) along which other values of α fit as well.
+fn with_parameters(
+    objective: &ProfileLikelihood<'_>,
+    starts: &[f64],
+    (problem, point, sums): (&Problem, &Point, &Sums),
+    progress: &SharedProgress<'_>,
+) -> Result<Vec<(Direction, Explanation)>, DynamicError> {
+    let (k, law, sought) = (starts.len(), law_at(problem, point), objective.sought(starts));
+    let place = |alpha: &Alpha, law: InitialLaw| EvaluationPoint::new(objective, alpha, law);
     let along = |s: usize| -> Result<EvaluationPair, DynamicError> {
-        let coordinate = &objective.coordinates[s];
-        let step = coordinate.step(sought[s], STEP);
-        let values = [1.0, -1.0].map(|sign| coordinate.moved(sought[s], sign * step));
-        let at = |value: f64| {
-            let mut moved = sought.clone();
-            moved[s] = value;
-            EvaluationPoint::new(objective, &objective.alpha(&moved), law.clone())
-        };
-        let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
-        Ok(([at(values[0])?, at(values[1])?], width))
+        let ([up, down], width) = sides(objective, &sought, s);
+        let at = |sought: &[f64]| place(&objective.alpha(sought), law.clone());
+        Ok(([at(&up)?, at(&down)?], width))
     };
-    let free = problem.covariance.free_directions(&problem.covariance.chart(&point.root));
-    let means = problem.mean_jacobian();
-    let m = means.nrows();
-    // elements that are held have no part
-    let is_free = |row: f64| row > 0.0;
-    let of_means = (0..m).filter(|&i| is_free(means.row(i).norm()));
-    let of_sigma = free.row_sizes().into_iter().enumerate().filter(|(_, size)| is_free(*size)).map(|(e, _)| m + e);
-    let moving: Vec<usize> = of_means.chain(of_sigma).collect();
-    let laws = ElementLaws::of(&problem, &law).only(&moving);
-    let alpha = objective.alpha(&sought);
-    let place = |law| EvaluationPoint::new(objective, &alpha, law);
     let values = || (0..k).map(along).collect::<Result<Vec<_>, _>>().map(Some);
-    let units = units(objective);
-    let within = |most: f64| -> Result<Vec<(Direction, Explanation)>, DynamicError> {
-        let found = of_elements(objective, (&units, (k, most)), &values, (&laws, &place, &law), progress)?;
+    let free = problem.covariance.free_directions(&problem.covariance.chart(&point.root));
+    let moving = moving(problem.mean_jacobian(), &free);
+    let laws = ElementLaws::of(problem, &law).only(&moving);
+    let (alpha, units) = (objective.alpha(&sought), units(objective));
+    let elsewhere = |law| place(&alpha, law);
+    let rows = problem.mean_jacobian().nrows() + problem.covariance.elements.count();
+    let of_every = |every: usize| -> Result<Vec<(Direction, Explanation)>, DynamicError> {
+        let found = of_elements((&units, every), k, &values, (&laws, &elsewhere, &law), progress)?;
         let Some([of_values, with_moving]) = found else { return Ok(Vec::new()) };
-        let mut with_elements = DMatrix::zeros(k, m + problem.covariance.elements.count());
+        let mut with_elements = DMatrix::zeros(k, rows);
         moving.iter().enumerate().for_each(|(c, &e)| with_elements.set_column(e, &with_moving.column(c)));
-        Ok(directions((&problem, objective.slots), (&sums, &free), (&of_values, &with_elements)))
+        Ok(directions((problem, objective.slots), (sums, &free), (&of_values, &with_elements)))
     };
     // what some units do not determine, all of them together may
-    if within(FEW_MULTIPLICATIONS)?.is_empty() { Ok(Vec::new()) } else { within(f64::INFINITY) }
+    let every = stride(objective, units.len(), (k, laws.count()), FEW_MULTIPLICATIONS);
+    let found = of_every(every)?;
+    if found.is_empty() || every == 1 { Ok(found) } else { of_every(1) }
+}
+
+/// Rows of (mean coordinates, elements of Σ) that are not held.
+fn moving(means: &DMatrix<f64>, free: &Sparse) -> Vec<usize> {
+    let sizes = means.row_iter().map(|row| row.norm()).chain(free.row_sizes());
+    sizes.enumerate().filter(|(_, size)| *size > 0.0).map(|(row, _)| row).collect()
 }
 
 /// The null space of the information, in directions that move values of α and (μ, Σ) both. `of_values`: information of α,
@@ -111,7 +113,7 @@ fn directions(
     let mut found = Vec::new();
     for v in null_space(&|| all.clone(), &vec![1.0; k + q + f], 0.0) {
         let shares = DVector::from_fn(v.len(), |i, _| (v[i] * size[i]).abs());
-        let least = MIN_COMPONENT * shares.norm();
+        let least = MIN_DIFFERENCED_WEIGHT * shares.norm();
         let parameters: Vec<usize> =
             (0..k).filter(|&s| shares[s] > least).map(|s| slots.slots()[s].parameter).collect();
         if parameters.is_empty() || shares.rows(k, q + f).iter().all(|share| *share <= least) {

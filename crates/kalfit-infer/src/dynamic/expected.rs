@@ -62,19 +62,27 @@ pub(super) fn along_value(
     fit: &DynamicFit,
     s: usize,
 ) -> Result<Option<EvaluationPair>, DynamicError> {
-    let coordinate = &objective.coordinates[s];
-    let step = coordinate.step(fit.sought[s], STEP);
-    let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
-    let at = |value: f64| -> Result<Option<EvaluationPoint>, DynamicError> {
-        let mut sought = fit.sought.clone();
-        sought[s] = value;
-        let alpha = objective.alpha(&sought);
+    let (sides, width) = sides(objective, &fit.sought, s);
+    let at = |sought: &[f64]| -> Result<Option<EvaluationPoint>, DynamicError> {
+        let alpha = objective.alpha(sought);
         let there = fit.estimate.state.at_other_alpha(&fit.reductions, &alpha).ok().flatten();
         there.map(|there| EvaluationPoint::new(objective, &alpha, there.law())).transpose()
     };
-    let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
-    let (Some(up), Some(down)) = (at(values[0])?, at(values[1])?) else { return Ok(None) };
+    let (Some(up), Some(down)) = (at(&sides[0])?, at(&sides[1])?) else { return Ok(None) };
     Ok(Some(([up, down], width)))
+}
+
+/// Sought values after a step up and down of value `s`, with the distance between the two in its coordinate.
+pub(super) fn sides(objective: &ProfileLikelihood<'_>, sought: &[f64], s: usize) -> ([Vec<f64>; 2], f64) {
+    let coordinate = &objective.coordinates[s];
+    let step = coordinate.step(sought[s], STEP);
+    let values = [1.0, -1.0].map(|sign| coordinate.moved(sought[s], sign * step));
+    let moved = values.map(|value| {
+        let mut moved = sought.to_vec();
+        moved[s] = value;
+        moved
+    });
+    (moved, coordinate.of_value(values[0]) - coordinate.of_value(values[1]))
 }
 
 /// Units of correlated tests: the tests of one group of the outermost level, or, without groups, a single test. The

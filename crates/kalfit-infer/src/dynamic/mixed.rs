@@ -17,7 +17,7 @@ use kalfit_model::{Evidence, PhasedTest};
 use kalfit_search::{DynamicError, DynamicFit, ProfileLikelihood};
 
 /// Largest number of values that adapt; with more values, score tests treat α as known.
-const MAX_VALUES: usize = 24;
+pub(super) const MAX_VALUES: usize = 24;
 /// Largest number of elements of (μ, Σ) in one pass of the filters. A pass with k values of α costs the square or the cube
 /// of k and the elements together, so that as many elements as values cost least.
 const MOST_ELEMENTS_PER_PASS: usize = 8;
@@ -68,15 +68,15 @@ fn information(
     let laws = ElementLaws::of(&fit.estimate.state.problem, &law);
     let place = |law| EvaluationPoint::new(objective, &fit.alpha, law);
     let values = || shared.iter().map(|&s| along_value(objective, fit, s)).collect();
-    let sizes = (shared.len(), MOST_MULTIPLICATIONS);
-    of_elements(objective, (&units(objective), sizes), &values, (&laws, &place, &law), progress)
+    let units = units(objective);
+    let every = stride(objective, units.len(), (shared.len(), laws.0.len()), MOST_MULTIPLICATIONS);
+    of_elements((&units, every), shared.len(), &values, (&laws, &place, &law), progress)
 }
 
-/// The information of [`information`] at any point. `most`: number of multiplications from which on it comes from
-/// evenly chosen units; `values`: the pairs of points along each of k values of α; `place`: the point with another law of ξ than `law`. `None` where a pair is not defined, and once `progress` stops.
+/// The information of [`information`] at any point. It comes from one of `every` units of tests; `values`: the pairs of points along each of k values of α; `place`: the point with another law of ξ than `law`. `None` where a pair is not defined, and once `progress` stops.
 pub(super) fn of_elements(
-    objective: &ProfileLikelihood<'_>,
-    (units, (k, most)): (&[Vec<GroupedTest<'_>>], (usize, f64)),
+    (units, every): (&[Vec<GroupedTest<'_>>], usize),
+    k: usize,
     values: &dyn Fn() -> Result<Option<Vec<EvaluationPair>>, DynamicError>,
     (laws, place, law): (
         &ElementLaws,
@@ -86,7 +86,6 @@ pub(super) fn of_elements(
     progress: &SharedProgress<'_>,
 ) -> Result<Option<[DMatrix<f64>; 2]>, DynamicError> {
     let count = laws.0.len();
-    let every = stride(objective, units.len(), (k, count), most);
     let chosen: Vec<&Vec<GroupedTest<'_>>> = units.iter().step_by(every).collect();
     let rows = |unit: &Vec<GroupedTest<'_>>| unit.iter().map(|member| rows_of(member.test)).sum::<usize>() as f64;
     let share = units.iter().map(rows).sum::<f64>() / chosen.iter().map(|unit| rows(unit)).sum::<f64>().max(1.0);
@@ -113,7 +112,12 @@ pub(super) fn of_elements(
 }
 
 /// One of so many units of tests is used, such that the work stays within `most` multiplications.
-fn stride(objective: &ProfileLikelihood<'_>, units: usize, (k, elements): (usize, usize), most: f64) -> usize {
+pub(super) fn stride(
+    objective: &ProfileLikelihood<'_>,
+    units: usize,
+    (k, elements): (usize, usize),
+    most: f64,
+) -> usize {
     let states = objective.model.phases.iter().map(|phase| phase.model.states.len()).max().unwrap_or(0);
     let states = states + objective.model.levels.len() * objective.model.dimension();
     let of_a_pass = k.clamp(1, MOST_ELEMENTS_PER_PASS);
@@ -135,6 +139,11 @@ pub(super) struct ElementLaws(Vec<([InitialLaw; 2], f64)>);
 impl ElementLaws {
     pub(super) fn of(problem: &Problem, law: &InitialLaw) -> ElementLaws {
         ElementLaws(element_laws(problem, law))
+    }
+
+    /// Number of elements.
+    pub(super) fn count(&self) -> usize {
+        self.0.len()
     }
 
     /// The laws along some of the elements.

@@ -23,10 +23,8 @@ use crate::misfit::columns::UnitColumns;
 use crate::misfit::steps::{ordered, position};
 use crate::misfit::terms::TermKind;
 
-/// Most products of innovations: a fraction of a second.
+/// Most products of innovations, a fraction of a second; where all pairs are more, those of near neighbours are taken.
 const MAX_PRODUCTS: usize = 20_000_000;
-/// Fewest common steps of a pair.
-const MIN_COMMON: usize = 3;
 
 /// Innovations of one measurement of a test: (step or time as [`ordered`], innovation).
 type Series = Vec<(u64, f64)>;
@@ -117,7 +115,8 @@ impl PairSums {
             }
         }
         let squared = n as f64 * product * product / (squares[0] * squares[1]);
-        if n < MIN_COMMON || !squared.is_finite() {
+        // c² of a single step is always 1
+        if n < 2 || !squared.is_finite() {
             return;
         }
         self.pairs += 1;

@@ -3,6 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{MisfitRecord, MisfitTermRecord, SEARCH_LEVEL, WrongRowRecord};
 
+use crate::figures;
 use crate::number::{p_value, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -94,7 +95,7 @@ fn wrong_rows(misfit: &MisfitRecord, page: &PageLayout<'_>) -> String {
     let time = |row: &WrongRowRecord| row.time.map_or_else(|| "-".to_owned(), |t| plain(t, 6));
     let columns = [
         Some(TextColumn::new("test", ColumnSide::Left, cells(&|row| clean(&row.test)))),
-        Some(TextColumn::new("row", ColumnSide::Right, cells(&|row| row.row.to_string()))),
+        Some(figures::column(WrongRowRecord::row, rows.iter().copied())),
         timed.then(|| TextColumn::new("time", ColumnSide::Right, cells(&time))),
         Some(TextColumn::new("measurement", ColumnSide::Left, cells(&|row| clean(&row.measurement)))),
         Some(TextColumn::new(
@@ -102,7 +103,7 @@ fn wrong_rows(misfit: &MisfitRecord, page: &PageLayout<'_>) -> String {
             ColumnSide::Right,
             cells(&|row| format!("{} ± {}", plain(row.deviation, 3), plain(row.std_dev, 2))),
         )),
-        Some(TextColumn::new("p, all rows", ColumnSide::Right, cells(&|row| probability(row.adjusted_p_value)))),
+        Some(figures::column(WrongRowRecord::adjusted_p_value, rows.iter().copied())),
     ];
     let columns: Vec<TextColumn> = columns.into_iter().flatten().collect();
     let line =
