@@ -2,7 +2,6 @@
 //! distances by plain simulation, and whole ensembles drawn from a model and fitted with it.
 
 mod constraints;
-mod count;
 mod simulated;
 mod tails;
 
@@ -16,8 +15,8 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
-use self::count::{LEVELS, PValueCount, head};
 use self::simulated::{SimulatedModel, TestShape};
+use crate::p_values::{LEVELS, PValueCount, head};
 use crate::seed::{SEED, random_of_block};
 
 /// Numbers of series.

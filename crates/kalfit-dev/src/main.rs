@@ -22,11 +22,15 @@ mod measure;
 #[cfg(feature = "mutants")]
 mod mutants;
 #[cfg(feature = "measure")]
+mod p_values;
+#[cfg(feature = "measure")]
 mod peak;
 #[cfg(feature = "measure")]
 mod peers;
 #[cfg(feature = "measure")]
 mod seed;
+#[cfg(feature = "measure")]
+mod setup;
 #[cfg(feature = "measure")]
 mod verdicts;
 #[cfg(feature = "measure")]

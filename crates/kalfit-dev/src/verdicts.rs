@@ -1,6 +1,7 @@
 //! Verdicts of the check of a fit: how often it doubts a correct model, and how often it finds a fault in the data.
 
 mod correct;
+mod drawn;
 mod fault;
 mod kind;
 mod planted;
@@ -10,9 +11,9 @@ use std::process::ExitCode;
 use kalfit::infer::{Choices, DeletionChoice};
 use kalfit::{Ensemble, FitRecord, Options, PhasedModel, estimate};
 
-use self::kind::DrawnEnsemble;
+use self::drawn::DrawnEnsemble;
 
-/// What the task is given.
+/// Arguments of the task.
 #[derive(Debug, clap::Args)]
 pub(crate) struct VerdictOptions {
     /// Correct ensembles, of all kinds in turns; none with 0.
@@ -51,7 +52,7 @@ pub(crate) fn run(options: &VerdictOptions) -> ExitCode {
     }
 }
 
-/// What is found in a fit, on one line.
+/// The findings of a fit and its two least probable terms, on one line.
 fn findings(record: &FitRecord) -> String {
     let found = record.model_check.iter().flat_map(|check| &check.findings);
     let terms = record.misfit.iter().flat_map(|misfit| misfit.terms.iter().take(2));

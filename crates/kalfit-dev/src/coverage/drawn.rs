@@ -4,7 +4,8 @@ use kalfit::estimate::{self, Criterion};
 use kalfit::infer::{Choices, DeletionChoice, TestsChoice};
 use kalfit::{Alpha, Ensemble, FitRecord, Labels, Options, PhasedModel, PhasedTest, Population, Source, Test};
 use kalfit_spec::Spec;
-use nalgebra::DMatrix;
+
+use crate::setup;
 
 /// A model, a design and a population.
 #[derive(Clone, Copy)]
@@ -163,11 +164,7 @@ impl DrawnSetup {
     }
 
     pub(super) fn population(&self) -> Population {
-        let p = self.mean.len();
-        let all = self.std_dev.concat();
-        let covariance = DMatrix::from_fn(all.len(), all.len(), |i, k| if i == k { all[i] * all[i] } else { 0.0 });
-        let mean = [self.mean, &vec![0.0; all.len() - p]].concat();
-        Population { mean, coefficients: Vec::new(), covariance }
+        setup::independent(self.mean, &[], self.std_dev)
     }
 
     pub(super) fn design(&self, spec: &Spec) -> Ensemble {

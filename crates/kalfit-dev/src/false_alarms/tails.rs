@@ -12,8 +12,8 @@ use kalfit::{Ensemble, Labels, Options};
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ChiSquared, ContinuousCDF};
 
-use super::count::{LEVELS, PValueCount, head};
 use super::simulated::{SimulatedModel, TestShape};
+use crate::p_values::{LEVELS, PValueCount, head};
 use crate::seed::SEED;
 
 /// Tests of one draw.

@@ -7,17 +7,16 @@ use rayon::prelude::*;
 
 use super::kind::{KINDS, Kind};
 use super::{VerdictOptions, findings, fitted, is_doubted};
+use crate::p_values::{PValueCount, head};
 
 /// Kinds of findings.
 const FINDINGS: [&str; 7] = ["mean_square", "innovations", "distance", "unlike", "row", "misfit", "normality"];
-/// Nominal probabilities.
-const LEVELS: [f64; 4] = [0.1, 0.05, 0.01, 0.001];
 /// Terms of misfit, then other p-values.
 const FIGURES: [&str; 9] =
     ["levels", "square", "change", "record", "steps", "shared", "normality", "unlike", "constraints"];
-/// Constraints are contradicted when the p-value of one of them is below this over their number.
+/// Constraints are contradicted when the p-value of one of them is below this over their number, as the summary says.
 const CONTRADICTED: f64 = 0.05;
-/// Largest share of correct models that may be doubted.
+/// Largest share of correct models that may be doubted: 5 % and a fifth of it.
 const MOST: f64 = 0.06;
 
 /// Counts over ensembles.
@@ -28,8 +27,8 @@ struct VerdictCount {
     doubted: usize,
     contradicted: usize,
     findings: [usize; FINDINGS.len()],
-    /// Number of p-values of each figure, and those below each level.
-    p_values: [(usize, [usize; LEVELS.len()]); FIGURES.len()],
+    /// p-values of each figure.
+    p_values: [PValueCount; FIGURES.len()],
 }
 
 impl VerdictCount {
@@ -47,23 +46,21 @@ impl VerdictCount {
             contradicted: usize::from(contradicted),
             findings: FINDINGS.map(|kind| usize::from(findings.iter().any(|finding| finding.kind == kind))),
             p_values: FIGURES.map(|figure| {
-                let p_values = p_values(record, figure);
-                (p_values.len(), LEVELS.map(|level| p_values.iter().filter(|p| **p < level).count()))
+                let mut count = PValueCount::default();
+                p_values(record, figure).into_iter().for_each(|p| count.take(Some(p)));
+                count
             }),
         }
     }
 
     fn with(self, other: VerdictCount) -> VerdictCount {
-        let added = |(n, below): (usize, [usize; LEVELS.len()]), (m, more): (usize, [usize; LEVELS.len()])| {
-            (n + m, std::array::from_fn(|k| below[k] + more[k]))
-        };
         VerdictCount {
             drawn: self.drawn + other.drawn,
             certified: self.certified + other.certified,
             doubted: self.doubted + other.doubted,
             contradicted: self.contradicted + other.contradicted,
             findings: std::array::from_fn(|k| self.findings[k] + other.findings[k]),
-            p_values: std::array::from_fn(|k| added(self.p_values[k], other.p_values[k])),
+            p_values: std::array::from_fn(|k| self.p_values[k].with(other.p_values[k])),
         }
     }
 
@@ -122,12 +119,9 @@ pub(super) fn run(options: &VerdictOptions) -> Result<bool, String> {
     println!("|---|--:|--:|--:|{}--:|", "--:|".repeat(FINDINGS.len()));
     kinds.iter().zip(&counts).for_each(|(kind, count)| count.row(kind.name));
     sum.row("all");
-    println!("\n| p-values of | number | {} |", LEVELS.map(|level| format!("below {level}")).join(" | "));
-    println!("|---|--:|{}", "--:|".repeat(LEVELS.len()));
-    for (name, (number, below)) in FIGURES.iter().zip(sum.p_values) {
-        let share = |count: usize| format!("{:.2} %", 100.0 * count as f64 / number.max(1) as f64);
-        println!("| {name} | {number} | {} |", below.map(share).join(" | "));
-    }
+    println!("\nShare of p-values below the nominal one, as a multiple of it.\n");
+    head("p-values of");
+    FIGURES.iter().zip(sum.p_values).for_each(|(name, count)| count.row(name));
     // three sampling errors
     let certified = sum.certified as f64;
     Ok(sum.doubted as f64 <= MOST * certified + 3.0 * (MOST * certified).sqrt())

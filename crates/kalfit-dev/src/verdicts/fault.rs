@@ -5,13 +5,11 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::kind::{DrawnEnsemble, DrawnTest};
+use super::drawn::{DrawnEnsemble, DrawnTest};
 
-/// Standard deviation of the noise of the gyros in which faults are planted.
-const NOISE: f64 = 0.3;
 /// Ratios of units that are mistaken for each other: of angles, of a thousand, of lengths, and of accelerations.
 const UNIT_RATIOS: [f64; 6] = [57.295_779_513, 0.017_453_292_5, 1000.0, 0.001, 0.3048, 9.806_65];
-/// Stations that share a disturbance.
+/// Number of stations, each with a disturbance of its own: with one the disturbance would be a drift common to all tests.
 const STATIONS: usize = 3;
 
 /// A fault of the data.
@@ -54,7 +52,7 @@ impl Fault {
 
     /// Plants the fault, with a random size, in tests of gyros; what a verdict that names it holds.
     pub(super) fn plant(self, drawn: &mut DrawnEnsemble, random: &mut ChaCha8Rng) -> Option<Planted> {
-        let (x, y) = (drawn.column("x")?, drawn.column("y")?);
+        let (x, y, noise) = (drawn.column("x")?, drawn.column("y")?, drawn.noise()?);
         let tests = &mut drawn.tests;
         let mut size = |[least, most]: [f64; 2]| f64::exp(random.random_range(least.ln()..most.ln()));
         match self {
@@ -86,7 +84,7 @@ impl Fault {
             }
             Fault::WrongNoise => {
                 let ratio = size([1.05, 2.0]);
-                Some(Planted::Noise(if random.random_bool(0.5) { NOISE * ratio } else { NOISE / ratio }))
+                Some(Planted::Noise(if random.random_bool(0.5) { ratio } else { 1.0 / ratio }))
             }
             Fault::WrongUnit => {
                 let ratio = UNIT_RATIOS[random.random_range(0..UNIT_RATIOS.len())];
@@ -95,7 +93,7 @@ impl Fault {
                 Some(Planted::Test(tests[test].id.clone()))
             }
             Fault::Outlier => {
-                let deviation = NOISE * size([4.0, 100.0]);
+                let deviation = noise * size([4.0, 100.0]);
                 let test = random.random_range(0..tests.len());
                 let row = random.random_range(0..tests[test].phases[0].len());
                 tests[test].phases[0][row][y] += deviation;
@@ -111,14 +109,14 @@ impl Fault {
     }
 }
 
-/// What a verdict holds that names a planted fault.
+/// The content of a verdict that names a planted fault.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Planted {
     /// Mean terms.
     Misfit(&'static [&'static str]),
     /// Single rows, or mean terms where there are many of them.
     RowsOrMisfit(&'static [&'static str]),
-    /// The size of all innovations; the noise that the model is given.
+    /// The size of all innovations; the given noise as a multiple of the true one.
     Noise(f64),
     /// A test.
     Test(String),

@@ -1,18 +1,4 @@
-//! Kinds of models of which correct ensembles are drawn, each with a random design.
-
-use kalfit::model::Column;
-use kalfit::simulate::{Designs, Simulator};
-use kalfit::{Alpha, Evidence, Labels, PhasedModel, PhasedTest, Population, Source, Test};
-use kalfit_spec::Spec;
-use nalgebra::DMatrix;
-use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
-
-/// Share of measured values that are missing where a kind has gaps.
-const GAPS: f64 = 0.15;
-/// Units of one site.
-const UNITS_OF_A_SITE: usize = 4;
+//! Kinds of models of which correct ensembles are drawn.
 
 /// A model, a population and ranges of which a design is drawn. Columns are known by their names: `t` increases from row
 /// to row, `x` is uniform, `ramp` runs from -1 to 1 along each test, `se` is a known standard deviation, `age` belongs to
@@ -21,20 +7,20 @@ const UNITS_OF_A_SITE: usize = 4;
 pub(super) struct Kind {
     pub(super) name: &'static str,
     /// The model with its parameters at the truth, each on a line of its own after `[parameters]`.
-    text: &'static str,
-    mean: &'static [f64],
-    coefficients: &'static [f64],
+    pub(super) text: &'static str,
+    pub(super) mean: &'static [f64],
+    pub(super) coefficients: &'static [f64],
     /// Standard deviations of the states of all phases, of the tests first, then of each level, the innermost first.
-    std_dev: &'static [&'static [f64]],
+    pub(super) std_dev: &'static [&'static [f64]],
     /// Least and largest number of units; 1 without levels.
-    units: [usize; 2],
+    pub(super) units: [usize; 2],
     /// Least and largest number of tests of a unit.
-    tests: [usize; 2],
+    pub(super) tests: [usize; 2],
     /// Least and largest number of rows of a phase.
-    rows: [usize; 2],
+    pub(super) rows: [usize; 2],
     /// Whether all tests have the same times.
-    shared_times: bool,
-    gaps: bool,
+    pub(super) shared_times: bool,
+    pub(super) gaps: bool,
 }
 
 const PLAIN: Kind = Kind {
@@ -363,127 +349,3 @@ fine = 0.3
         ..PLAIN
     },
 ];
-
-/// A test as cells.
-#[derive(Debug, Clone)]
-pub(super) struct DrawnTest {
-    pub(super) id: String,
-    /// Rows of each phase.
-    pub(super) phases: Vec<Vec<Vec<f64>>>,
-    texts: Vec<kalfit::Label>,
-}
-
-/// An ensemble that was drawn from its model.
-#[derive(Debug, Clone)]
-pub(super) struct DrawnEnsemble {
-    /// The model with its parameters free.
-    pub(super) model: PhasedModel,
-    pub(super) labels: Labels,
-    pub(super) tests: Vec<DrawnTest>,
-}
-
-impl Kind {
-    /// Draws a design and an ensemble.
-    pub(super) fn draw(&self, random: &mut ChaCha8Rng) -> Result<DrawnEnsemble, String> {
-        let (known, free) = (self.model(false)?, self.model(true)?);
-        let mut labels = Labels::new(&known.shared().literals);
-        let mut tests = self.design(&known, &mut labels, random);
-        let alpha = Alpha::fixed(&known.shared().parameters).map_err(|error| error.to_string())?;
-        let designs: Vec<PhasedTest> = tests.iter().map(DrawnTest::rows).collect();
-        let designs = Designs::of(&known, designs).map_err(|error| error.to_string())?;
-        let simulator = Simulator::new(&known, &alpha, self.population(), random.random::<u64>() >> 1);
-        let simulator = simulator.map_err(|error| error.to_string())?;
-        let drawn = simulator.draw(&designs, 0..tests.len() as u64).map_err(|error| error.to_string())?;
-        for (test, drawn) in tests.iter_mut().zip(drawn) {
-            for (cells, evidence) in test.phases.iter_mut().zip(&drawn.test.phases) {
-                let Evidence::Rows(rows) = evidence else { continue };
-                *cells = (0..rows.rows()).map(|row| rows.numbers(row).to_vec()).collect();
-            }
-        }
-        Ok(DrawnEnsemble { model: free, labels, tests })
-    }
-
-    /// The model with its parameters free, or at the truth.
-    pub(super) fn model(&self, is_free: bool) -> Result<PhasedModel, String> {
-        let (head, parameters) = self.text.split_once("[parameters]\n").unwrap_or((self.text, ""));
-        let free = |line: &str| match line.split_once(" = ") {
-            Some((name, _)) if is_free => format!("{name} = {{}}\n"),
-            _ => format!("{line}\n"),
-        };
-        let text = format!("{head}[parameters]\n{}", parameters.lines().map(free).collect::<String>());
-        Ok(Spec::parse(self.name, &text).map_err(|error| format!("{}: {}", self.name, error.message))?.model)
-    }
-
-    fn population(&self) -> Population {
-        let std_dev = self.std_dev.concat();
-        let p = std_dev.len();
-        let covariance = DMatrix::from_fn(p, p, |i, k| if i == k { std_dev[i] * std_dev[i] } else { 0.0 });
-        let mean = [self.mean, &vec![0.0; p - self.mean.len()]].concat();
-        Population { mean, coefficients: self.coefficients.to_vec(), covariance }
-    }
-
-    fn design(&self, model: &PhasedModel, labels: &mut Labels, random: &mut ChaCha8Rng) -> Vec<DrawnTest> {
-        let [least, most] = self.rows;
-        let mut within = |[least, most]: [usize; 2]| random.random_range(least..=most);
-        let tests_of_unit: Vec<usize> = (0..within(self.units)).map(|_| within(self.tests)).collect();
-        let ends = tests_of_unit.iter().enumerate().flat_map(|(unit, tests)| (0..*tests).map(move |test| (unit, test)));
-        let mut all = Vec::new();
-        for (unit, test) in ends {
-            let text = |column: &Column| match column.name.as_str() {
-                "site" => format!("s{}", unit / UNITS_OF_A_SITE),
-                _ => format!("u{unit}"),
-            };
-            let texts = model.shared().text_columns.iter().map(|name| labels.intern(&text(name))).collect();
-            let phase = |_| {
-                let rows = random.random_range(least..=most);
-                self.cells(model, rows, random)
-            };
-            let phases = (0..model.phases.len()).map(phase).collect();
-            all.push(DrawnTest { id: format!("u{unit:02}-{test:02}"), phases, texts });
-        }
-        all
-    }
-
-    fn cells(&self, model: &PhasedModel, rows: usize, random: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
-        let age: f64 = StandardNormal.sample(random);
-        let mut time = 0.0;
-        let mut row = |k: usize| {
-            time += if self.shared_times { 0.25 } else { random.random_range(0.2..1.5) };
-            let mut cell = |name: &str| match name {
-                "t" => time,
-                "x" => random.random_range(-1.0..1.0),
-                "ramp" => 2.0 * (k as f64 + 0.5) / rows as f64 - 1.0,
-                "se" => random.random_range(0.2..1.0),
-                "age" => age,
-                _ if self.gaps && random.random_bool(GAPS) => f64::NAN,
-                _ => 0.0,
-            };
-            model.shared().columns.iter().map(|column| cell(&column.name)).collect()
-        };
-        (0..rows).map(&mut row).collect()
-    }
-}
-
-impl DrawnTest {
-    fn rows(&self) -> PhasedTest {
-        let phase = |cells: &Vec<Vec<f64>>| {
-            let width = cells.first().map_or(0, Vec::len);
-            let mut rows = Test::new(self.id.as_str(), width, self.texts.len());
-            cells.iter().for_each(|row| rows.push(row, &self.texts, Source::default()));
-            Evidence::Rows(rows)
-        };
-        PhasedTest { id: self.id.as_str().into(), phases: self.phases.iter().map(phase).collect() }
-    }
-}
-
-impl DrawnEnsemble {
-    /// The tests as they are read.
-    pub(super) fn tests(&self) -> Vec<PhasedTest> {
-        self.tests.iter().map(DrawnTest::rows).collect()
-    }
-
-    /// Index of a column.
-    pub(super) fn column(&self, name: &str) -> Option<usize> {
-        self.model.shared().columns.iter().position(|column| column.name == name)
-    }
-}

@@ -1,17 +1,19 @@
 //! Ensembles with one planted fault each: how many faults are found, and how many are named.
 
+use kalfit::FitRecord;
 use kalfit::model::Value;
-use kalfit::{FitRecord, PhasedModel};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use super::drawn::with_values;
 use super::fault::{FAULTS, Fault, Planted};
 use super::kind::GYROS;
 use super::{VerdictOptions, findings, fitted, is_doubted};
 
-/// Likelihood ratio beyond which a fault counts: χ² with one degree of freedom exceeds it with probability 10⁻⁶.
-const CLEAR: f64 = 23.93;
+/// Probability of the likelihood ratio below which a fault counts.
+const CLEAR: f64 = 1e-6;
 /// Most draws for one fault, as small ones do not count.
 const DRAWS: u64 = 50;
 /// Seeds between faults.
@@ -75,21 +77,16 @@ fn clear(fault: Fault, seed: u64) -> Result<Option<(Planted, FitRecord)>, String
     let mut changed = drawn.clone();
     let Some(planted) = fault.plant(&mut changed, &mut random) else { return Ok(None) };
     let model = match planted {
-        Planted::Noise(noise) => with_noise(&drawn.model, noise),
+        Planted::Noise(ratio) => with_values(&drawn.known, &|value| match value {
+            Value::Fixed(value) => Value::Fixed(ratio * value),
+            free => free,
+        }),
         _ => drawn.model.clone(),
     };
     let (Some(right), Some(wrong)) = (fitted(&drawn.model, &drawn)?, fitted(&model, &changed)?) else {
         return Ok(None);
     };
-    let is_clear = 2.0 * (right.log_likelihood - wrong.log_likelihood) > CLEAR;
+    let law = ChiSquared::new(1.0).map_err(|error| error.to_string())?;
+    let is_clear = law.sf(2.0 * (right.log_likelihood - wrong.log_likelihood)) < CLEAR;
     Ok(is_clear.then_some((planted, wrong)))
-}
-
-/// The model with all parameters at a given value.
-fn with_noise(model: &PhasedModel, noise: f64) -> PhasedModel {
-    let mut model = model.clone();
-    for phase in model.models_mut() {
-        phase.parameters.iter_mut().for_each(|parameter| parameter.value = Value::Fixed(noise));
-    }
-    model
 }
