@@ -98,15 +98,15 @@ const CLASSES_PER_TASK: usize = 64;
 impl Classes {
     /// Gathers reductions with `regressors` covariates each; `ranges` holds the states of each phase. With `chained`, a
     /// test is stored phase by phase if the reduction of the test is.
-    pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
+    pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, centred: &[bool], chained: bool) -> Classes {
         let elements = Elements::new(ranges);
         let chained = chained && !elements.is_single();
         if let Some(remote) = reductions.remote() {
-            return Classes::of_remote(remote, (elements, regressors), chained);
+            return Classes::of_remote(remote, (elements, centred), chained);
         }
         let members = ordered(reductions, chained);
-        let pooled = Pooled::all(reductions, members.tests(), (elements.states(), regressors));
-        Classes::gathered(reductions, members, (pooled.frame(), &pooled), (elements, chained))
+        let pooled = Pooled::all(reductions, members.tests(), (elements.states(), centred.len()));
+        Classes::gathered(reductions, members, (pooled.frame(centred), &pooled), (elements, chained))
     }
 
     /// Gathers reductions in the coordinates of other classes.
@@ -168,9 +168,9 @@ impl Classes {
     pub(super) fn of_survey(
         remote: &Remote,
         (tests, present, pooled): (usize, Vec<f64>, &Pooled),
-        (elements, chained): (Elements, bool),
+        (elements, centred, chained): (Elements, &[bool], bool),
     ) -> Classes {
-        let frame = pooled.frame();
+        let frame = pooled.frame(centred);
         let totals = (tests, pooled.information(&frame), present);
         let classes = Classes::arranged((Vec::new(), &|_, _| {}), Vec::new(), (&frame, &elements, chained), totals);
         Classes { remote: Some(remote.clone()), ..classes }

@@ -96,7 +96,8 @@ fn local(sums: &Sums) -> Local {
 /// The population as a point in η; an error where the population does not agree with the structure.
 fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
-    let mean = DVector::from_vec(frame.mean_in(&population.mean));
+    let (mean, coefficients) = map.from_user(frame, &population.mean, &population.coefficients);
+    let mean = DVector::from_vec(mean);
     let deviation = &mean - &map.offset;
     let by_structure = &map.offset + &map.basis * (map.basis.transpose() * &deviation);
     for i in 0..mean.len() {
@@ -105,7 +106,6 @@ fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedEr
             return Err(ExpectedError::Off { element: Element::Mean(i), found, expected });
         }
     }
-    let coefficients = population.coefficients.iter().zip(&map.coefficient_scale).map(|(c, s)| c * s).collect();
     let root =
         root(&problem.covariance, &frame.covariance_in(&population.covariance)).map_err(|(i, j, by_structure)| {
             let expected = by_structure * frame.scale[i] * frame.scale[j];

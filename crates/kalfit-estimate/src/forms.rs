@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn forms_are_those_of_the_matrices() {
         let reductions: Reductions = (0..23).map(test).collect();
-        let classes = Classes::new(&reductions, vec![0..2, 2..4, 4..6], 0, true);
+        let classes = Classes::new(&reductions, vec![0..2, 2..4, 4..6], &[], true);
         assert!(!classes.chains.is_empty(), "some stand side by side");
         let point = Point {
             mean: (0..6).map(|i| 0.1 * i as f64).collect(),

@@ -13,6 +13,10 @@ pub(crate) use kalfit_model::remote::Coordinates as Frame;
 /// Number of tests that form one partial sum.
 const TESTS_PER_SUM: usize = 1024;
 
+/// A covariate whose standard deviation is below this fraction of its size counts as constant. The square is about the
+/// rounding error of a variance that is a difference of sums.
+const CONSTANT: f64 = 1e-8;
+
 /// Sums over tests that determine the frame.
 pub(super) struct Pooled {
     /// Σ R'R, p × p, packed.
@@ -21,6 +25,8 @@ pub(super) struct Pooled {
     informed: Vec<f64>,
     /// Σ R'd.
     y: Vec<f64>,
+    /// Σ x over tests for each covariate x.
+    sums: Vec<f64>,
     /// Σ x² over tests for each covariate x.
     squares: Vec<f64>,
     tests: f64,
@@ -28,9 +34,9 @@ pub(super) struct Pooled {
 
 impl Pooled {
     /// The coordinates η: the centre is the pooled least-squares estimate, and the scale gives unit information on each
-    /// state to the average test that informs the state.
-    pub(super) fn frame(&self) -> Frame {
-        let Pooled { information, informed, y, squares, tests } = self;
+    /// state to the average test that informs the state. A covariate of `centred` is centred at its average.
+    pub(super) fn frame(&self, centred: &[bool]) -> Frame {
+        let Pooled { information, informed, y, tests, .. } = self;
         let p = y.len();
         let entry = |i: usize, k: usize| information[pair(i.max(k), i.min(k))];
         let unit = |i: usize| if entry(i, i) > 0.0 { (informed[i] / entry(i, i)).sqrt() } else { 1.0 };
@@ -39,9 +45,21 @@ impl Pooled {
         let right = DVector::from_fn(p, |i, _| scale[i] * y[i]);
         let solution = symmetric::pseudo_solve(&scaled, &right);
         let centre = (0..p).map(|i| scale[i] * solution[i]).collect();
-        let n = tests.max(1.0);
-        let covariate_scale = squares.iter().map(|&s| if s > 0.0 { (s / n).sqrt() } else { 1.0 }).collect();
-        Frame { centre, scale, covariate_scale }
+        let covariates = (0..centred.len()).map(|c| self.covariate(c, tests.max(1.0), centred[c]));
+        let (covariate_centre, covariate_scale) = covariates.unzip();
+        Frame { centre, scale, covariate_centre, covariate_scale }
+    }
+
+    /// Centre and scale of a covariate: average and standard deviation if it is centred, else zero and the root of the
+    /// mean square. A constant is not centred: nothing would remain.
+    fn covariate(&self, c: usize, tests: f64, centred: bool) -> (f64, f64) {
+        let (average, square) = (self.sums[c] / tests, self.squares[c] / tests);
+        let variance = square - average * average;
+        match square.sqrt() {
+            _ if centred && variance > CONSTANT.powi(2) * square => (average, variance.sqrt()),
+            size if size > 0.0 => (0.0, size),
+            _ => (0.0, 1.0),
+        }
     }
 
     pub(super) fn none((p, regressors): (usize, usize)) -> Pooled {
@@ -49,6 +67,7 @@ impl Pooled {
             information: vec![0.0; pairs(p)],
             informed: vec![0.0; p],
             y: vec![0.0; p],
+            sums: vec![0.0; regressors],
             squares: vec![0.0; regressors],
             tests: 0.0,
         }
@@ -64,8 +83,8 @@ impl Pooled {
 
     /// The sums as a list; lists of several places can be added up.
     pub(super) fn numbers(&self) -> Vec<f64> {
-        let Pooled { information, informed, y, squares, tests } = self;
-        [information, informed, y, squares].into_iter().flatten().copied().chain([*tests]).collect()
+        let Pooled { information, informed, y, sums, squares, tests } = self;
+        [information, informed, y, sums, squares].into_iter().flatten().copied().chain([*tests]).collect()
     }
 
     /// The sums from a list that `numbers` has made; `None` where the length is wrong.
@@ -73,10 +92,11 @@ impl Pooled {
         let (information, rest) = numbers.split_at_checked(pairs(p))?;
         let (informed, rest) = rest.split_at_checked(p)?;
         let (y, rest) = rest.split_at_checked(p)?;
+        let (sums, rest) = rest.split_at_checked(regressors)?;
         let (squares, rest) = rest.split_at_checked(regressors)?;
         let [tests] = *rest else { return None };
-        let [information, informed, y, squares] = [information, informed, y, squares].map(<[f64]>::to_vec);
-        Some(Pooled { information, informed, y, squares, tests })
+        let [information, informed, y, sums, squares] = [information, informed, y, sums, squares].map(<[f64]>::to_vec);
+        Some(Pooled { information, informed, y, sums, squares, tests })
     }
 
     /// Σ R'R in η, p × p.
@@ -100,6 +120,7 @@ impl Pooled {
             if let Some(exact) = reductions.exact(j) {
                 sum.add_exact(exact, units, factor);
             }
+            sum.sums.iter_mut().zip(reductions.covariates(j)).for_each(|(s, x)| *s += x);
             sum.squares.iter_mut().zip(reductions.covariates(j)).for_each(|(s, x)| *s += x * x);
         }
         sum
@@ -128,6 +149,7 @@ impl Pooled {
         add(&mut self.information, &other.information);
         add(&mut self.informed, &other.informed);
         add(&mut self.y, &other.y);
+        add(&mut self.sums, &other.sums);
         add(&mut self.squares, &other.squares);
         self.tests += other.tests;
         self

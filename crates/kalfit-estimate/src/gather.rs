@@ -84,8 +84,9 @@ pub(super) fn gather_chains(
 fn set_count_and_covariates(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
     class.count = tests.len() as f64;
     class.covariates.clear();
-    let covariates = reductions.covariates(tests[0]).iter().zip(&frame.covariate_scale);
-    class.covariates.extend(covariates.map(|(x, s)| x / s));
+    let units = frame.covariate_centre.iter().zip(&frame.covariate_scale);
+    let covariates = reductions.covariates(tests[0]).iter().zip(units);
+    class.covariates.extend(covariates.map(|(x, (centre, scale))| (x - centre) / scale));
 }
 
 /// Computes the mean of d and g of several tests, and vectors whose outer products add up to the scatter around that

@@ -24,22 +24,23 @@ pub fn law_at(problem: &Problem, point: &Point) -> InitialLaw {
 pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
     let frame = &problem.classes.frame;
     let (all_states, units) = (frame.scale.len(), problem.mean_units());
-    let coefficients = point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s);
+    let (mean, coefficients) = problem.mean.to_user(frame, point);
     // ξ of a test in groups is a sum over the levels
     let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
     let p = all_states / levels;
-    let mean = frame.mean_out(&point.mean);
-    let half = mean_covariance.map(|covariance| {
-        let half = problem.mean.jacobian() * symmetric::square_root(covariance);
+    let whole = mean_covariance.map(|covariance| problem.mean.jacobian() * symmetric::square_root(covariance));
+    let of_test = |half: DMatrix<f64>| {
         let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
         let entry = |k: usize, c: usize| if k < p { sum(k, c) } else { half[(k - p + all_states, c)] };
         DMatrix::from_fn(half.nrows() - all_states + p, half.ncols(), entry)
-    });
-    let in_units = |half: &DMatrix<f64>| {
+    };
+    let in_units = |whole: &DMatrix<f64>| {
+        let half = of_test(problem.mean.centring.uncentred(whole));
         DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| {
             units[if k < p { k } else { k - p + all_states }] * half[(k, c)]
         })
     };
+    let half = whole.clone().map(of_test);
     let given = |units: &Arc<Units>| match problem.classes.remote {
         Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.message() }),
         None => joint_posteriors((units, frame), (point, &problem.mean.regressors), half.as_ref()),
@@ -51,7 +52,7 @@ pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option
             let (l, c) = (c / point.root.ncols(), c % point.root.ncols());
             frame.scale[l * p + i] * point.root[(l * p + i, c)]
         }),
-        mean_half: half.as_ref().map(in_units),
+        mean_half: whole.as_ref().map(in_units),
         given: problem.classes.units.as_ref().map(given).map(Arc::new),
     }
 }

@@ -18,6 +18,7 @@
 
 mod at_other_alpha;
 mod canonical;
+mod centring;
 mod certificate;
 #[cfg(test)]
 mod certificate_tests;

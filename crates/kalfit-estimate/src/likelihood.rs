@@ -58,7 +58,7 @@ impl Likelihood {
     /// that of all phases together, computed phase by phase under [`Combination::Chain`] and from stacked reductions
     /// otherwise.
     pub fn of_phases(reductions: &Reductions, ranges: Vec<Range<usize>>, combination: Combination) -> Likelihood {
-        Likelihood { classes: Classes::new(reductions, ranges, 0, combination == Combination::Chain) }
+        Likelihood { classes: Classes::new(reductions, ranges, &[], combination == Combination::Chain) }
     }
 
     /// Number of classes of tests with one information matrix.

@@ -2,7 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::centring::Centring;
 use crate::frame::Frame;
+use crate::point::Point;
 use crate::structure::Structure;
 use kalfit_algebra::symmetric;
 use kalfit_model::MeanElement;
@@ -18,6 +20,8 @@ pub struct MeanMap {
     pub regressors: Vec<usize>,
     /// Scale of each regression coefficient: γ = coefficient × scale.
     pub coefficient_scale: Vec<f64>,
+    /// The map between centred mean coordinates and the same without centring.
+    pub centring: Centring,
     /// For each element of μ the fixed value in the user's units, or `None` if the element is not fixed.
     pub(crate) fixed: Vec<Option<f64>>,
 }
@@ -37,7 +41,28 @@ impl MeanMap {
             _ => None,
         };
         let fixed = structure.elements().iter().map(known).collect();
-        MeanMap { offset, basis, regressors, coefficient_scale, fixed }
+        let centring = Centring::new(&regressors, frame);
+        MeanMap { offset, basis, regressors, coefficient_scale, centring, fixed }
+    }
+
+    /// μ and the regression coefficients in the user's units, at a point.
+    pub(crate) fn to_user(&self, frame: &Frame, point: &Point) -> (Vec<f64>, Vec<f64>) {
+        let mut coordinates = [&point.mean[..], &point.coefficients].concat();
+        self.centring.uncentre(&mut coordinates);
+        let scaled = coordinates.split_off(point.mean.len());
+        frame.take_mean_out(&mut coordinates);
+        (coordinates, scaled.iter().zip(&self.coefficient_scale).map(|(c, s)| c / s).collect())
+    }
+
+    /// μ in η and the scaled regression coefficients, from both in the user's units; coefficients that are not given
+    /// are zero.
+    pub(crate) fn from_user(&self, frame: &Frame, mean: &[f64], coefficients: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let mut coordinates = frame.mean_in(mean);
+        let given = coefficients.iter().copied().chain(std::iter::repeat(0.0));
+        coordinates.extend(self.coefficient_scale.iter().zip(given).map(|(scale, value)| value * scale));
+        self.centring.centre(&mut coordinates);
+        let scaled = coordinates.split_off(mean.len());
+        (coordinates, scaled)
     }
 
     /// d(mean coordinates of [`Sums`](super::sums::Sums)) / d(b, γ): block diagonal (Q, I).
@@ -57,7 +82,13 @@ impl MeanMap {
         let (q, r) = (b.ncols(), self.regressors.len());
         let mut by_user = DMatrix::zeros(q + r, q + r);
         by_user.view_mut((0, 0), (q, q)).copy_from(&(self.basis.transpose() * scaled));
-        self.coefficient_scale.iter().enumerate().for_each(|(c, scale)| by_user[(q + c, q + c)] = *scale);
+        for (c, scale) in self.coefficient_scale.iter().enumerate() {
+            let mut moved = DVector::zeros(b.nrows() + r);
+            moved[b.nrows() + c] = *scale;
+            self.centring.centre(moved.as_mut_slice());
+            by_user.view_mut((0, q + c), (q, 1)).copy_from(&(self.basis.transpose() * moved.rows(0, b.nrows())));
+            by_user[(q + c, q + c)] = *scale;
+        }
         by_user
     }
 

@@ -5,6 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::centring::is_centred;
 use crate::class::Class;
 use crate::classes::Classes;
 use crate::covariance::CovarianceMap;
@@ -48,7 +49,7 @@ impl Problem {
         (criterion, combination): (Criterion, Combination),
     ) -> Result<Problem, StructureError> {
         let chained = combination != Combination::Stacked;
-        let classes = Classes::new(reductions, structure.ranges(), structure.regressions().len(), chained);
+        let classes = Classes::new(reductions, structure.ranges(), &is_centred(structure), chained);
         let classes = match &structure.grouping {
             Some(grouping) => classes.in_groups(reductions, grouping),
             None => classes,
@@ -99,10 +100,10 @@ impl Problem {
         };
         let alone = alone.ok()?;
         let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
-        let Population { mean, covariance, .. } = self.values_of(point).together(p);
+        let Population { mean, coefficients, covariance } = self.values_of(point).together(p);
         let root = symmetric::square_root(&frame.covariance_in(&covariance));
-        let point = Point { mean: frame.mean_in(&mean), coefficients: point.coefficients.clone(), root };
-        Some((alone, point))
+        let (mean, coefficients) = alone.mean.from_user(frame, &mean, &coefficients);
+        Some((alone, Point { mean, coefficients, root }))
     }
 
     /// The objective and its derivatives: one pass over the classes. The restricted likelihood's second derivatives
@@ -217,11 +218,10 @@ impl Problem {
             covariance[(i, j)] = value;
             covariance[(j, i)] = value;
         }
-        let mut mean = frame.mean_out(&point.mean);
+        let (mut mean, coefficients) = self.mean.to_user(frame, point);
         for (value, exact) in mean.iter_mut().zip(&self.mean.fixed) {
             *value = exact.unwrap_or(*value);
         }
-        let coefficients = point.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c / s).collect();
         Population { mean, coefficients, covariance }
     }
 
@@ -234,11 +234,8 @@ impl Problem {
     /// The point of values that meet the structure.
     pub fn point_of(&self, values: &Population) -> Point {
         let frame = &self.classes.frame;
-        Point {
-            mean: frame.mean_in(&values.mean),
-            coefficients: values.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c * s).collect(),
-            root: self.covariance.root_of(&frame.covariance_in(&values.covariance)),
-        }
+        let (mean, coefficients) = self.mean.from_user(frame, &values.mean, &values.coefficients);
+        Point { mean, coefficients, root: self.covariance.root_of(&frame.covariance_in(&values.covariance)) }
     }
 
     /// The step in free mean coordinates that maximises ℓ at the Σ of these sums: generalised least squares (theory

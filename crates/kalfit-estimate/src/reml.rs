@@ -50,24 +50,26 @@ impl Restriction {
     /// those coordinates by the user's β (q × q).
     pub(crate) fn new(information: &DMatrix<f64>, by_user: &DMatrix<f64>) -> Restriction {
         let q = information.nrows();
-        let user = by_user.transpose() * information * by_user;
         // in coordinates of unit information neither units nor a large element can hide the rank
-        let unit = DVector::from_fn(q, |i, _| if user[(i, i)] > 0.0 { user[(i, i)].sqrt().recip() } else { 1.0 });
-        let (values, vectors) = symmetric::eigen(&DMatrix::from_fn(q, q, |i, j| unit[i] * user[(i, j)] * unit[j]));
+        let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 1.0 };
+        let unit = DVector::from_fn(q, |i, _| unit(i));
+        let scaled = DMatrix::from_fn(q, q, |i, j| unit[i] * information[(i, j)] * unit[j]);
+        let (values, vectors) = symmetric::eigen(&scaled);
         let empty: Vec<usize> = (0..q).filter(|&k| values[k] < UNINFORMED).collect();
-        let (pivots, echelon) = echelon(vectors.select_columns(&empty));
+        let (pivots, null) = echelon(vectors.select_columns(&empty));
         let informed_elements: Vec<usize> = (0..q).filter(|i| !pivots.contains(i)).collect();
-        let informed = DMatrix::from_fn(q, informed_elements.len(), |i, c| {
-            by_user[(i, informed_elements[c])] * unit[informed_elements[c]]
-        });
-        // with a null space [I; X] the product of the non-zero eigenvalues is |C_kept| |I + X'X|
-        let x = DMatrix::from_fn(informed_elements.len(), pivots.len(), |i, c| {
-            echelon[(informed_elements[i], c)] * unit[informed_elements[i]] / unit[pivots[c]]
-        });
-        let spread = DMatrix::identity(pivots.len(), pivots.len()) + x.transpose() * &x;
-        let log_units: f64 = informed_elements.iter().map(|&i| unit[i].ln()).sum();
-        let constant =
-            0.5 * informed_elements.len() as f64 * std::f64::consts::TAU.ln() + log_units - 0.5 * log_det(&spread);
+        let informed =
+            DMatrix::from_fn(q, informed_elements.len(), |i, c| if i == informed_elements[c] { unit[i] } else { 0.0 });
+        // With U = by_user and the null space N of C, the product of the non-zero eigenvalues of U'CU is
+        // |Z'CZ| |N'(UU')⁻¹N| |U|² / |Z N|²; N is in echelon form, so |Z N| is the product of the units.
+        let to_user = by_user.clone().lu();
+        let null = DMatrix::from_fn(q, pivots.len(), |i, c| unit[i] * null[(i, c)]);
+        let null = to_user.solve(&null).expect("the user's coordinates are coordinates");
+        let log_units: f64 = unit.iter().map(|unit| unit.ln()).sum();
+        let log_volume = to_user.u().diagonal().iter().map(|x| x.abs().ln()).sum::<f64>();
+        let log_null = null.qr().r().diagonal().iter().map(|x| x.abs().ln()).sum::<f64>();
+        let rank = informed_elements.len() as f64;
+        let constant = 0.5 * rank * std::f64::consts::TAU.ln() - log_null - log_volume + log_units;
         Restriction { informed, constant }
     }
 
@@ -135,9 +137,4 @@ fn curvature(half: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) ->
         y.column_mut(s).copy_from_slice(along.as_slice());
     }
     y.transpose() * y * 0.5
-}
-
-fn log_det(positive: &DMatrix<f64>) -> f64 {
-    let factor = positive.clone().cholesky().expect("I + X'X is positive definite");
-    2.0 * factor.l().diagonal().iter().map(|x| x.ln()).sum::<f64>()
 }

@@ -62,8 +62,8 @@ impl Counts {
 
 impl Classes {
     /// The classes of remote tests, in coordinates from the survey of all of them.
-    pub(super) fn of_remote(remote: &Remote, (elements, regressors): (Elements, usize), chained: bool) -> Classes {
-        let (blocks, sizes) = (elements.blocks().len(), (elements.states(), regressors));
+    pub(super) fn of_remote(remote: &Remote, (elements, centred): (Elements, &[bool]), chained: bool) -> Classes {
+        let (blocks, sizes) = (elements.blocks().len(), (elements.states(), centred.len()));
         let survey_totals = || {
             let numbers = remote.ask(Question::Survey)?;
             let (head, rest) = numbers.split_first_chunk()?;
@@ -71,7 +71,7 @@ impl Classes {
             Some((Counts::read(*head).tests, present.to_vec(), Pooled::of_numbers(sizes, pooled)?))
         };
         let (tests, present, pooled) = survey_totals().unwrap_or_else(|| (0, vec![0.0; blocks], Pooled::none(sizes)));
-        Classes::of_survey(remote, (tests, present, &pooled), (elements, chained))
+        Classes::of_survey(remote, (tests, present, &pooled), (elements, centred, chained))
     }
 }
 

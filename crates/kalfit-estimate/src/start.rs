@@ -66,9 +66,8 @@ const SINGULAR_EIGENVALUE: f64 = 1e-6;
 /// a search that begins there.
 pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitError> {
     let (map, mean, frame) = (&problem.covariance, &problem.mean, &problem.classes.frame);
-    let wanted = DVector::from_vec(frame.mean_in(&values.mean));
-    let b = mean.basis.transpose() * (wanted - &mean.offset);
-    let coefficient = |(c, scale): (usize, &f64)| values.coefficients.get(c).map_or(0.0, |value| value * scale);
+    let (wanted, coefficients) = mean.from_user(frame, &values.mean, &values.coefficients);
+    let b = mean.basis.transpose() * (DVector::from_vec(wanted) - &mean.offset);
     let sigma = map.mask(&frame.covariance_in(&values.covariance));
     let of = |part: &PhaseForm| {
         let (own, mut sigma) = (map.of_part(part), part.of(&sigma));
@@ -79,11 +78,7 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     };
     let parts: Vec<DMatrix<f64>> = map.parts.iter().map(of).collect::<Result<_, FitError>>()?;
     let root = map.block_diagonal(parts);
-    Ok(Point {
-        mean: (&mean.offset + &mean.basis * b).as_slice().to_vec(),
-        coefficients: mean.coefficient_scale.iter().enumerate().map(coefficient).collect(),
-        root,
-    })
+    Ok(Point { mean: (&mean.offset + &mean.basis * b).as_slice().to_vec(), coefficients, root })
 }
 
 /// A pilot's end as a start for all tests; an end on the boundary is moved a little inside, where the best point of all

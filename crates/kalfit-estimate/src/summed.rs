@@ -88,7 +88,7 @@ impl Summed {
     /// fit this model.
     pub(crate) fn classes(&mut self, frame: &Frame) -> Option<(&Classes, &Regressors)> {
         let fits = self.is_state(&frame.centre) && self.is_state(&frame.scale);
-        if !fits || frame.covariate_scale.len() != self.regressors.len() {
+        if !fits || !self.has_each_covariate(frame) {
             return None;
         }
         if self.gathered.as_ref().is_none_or(|(known, _)| known != frame) {
@@ -110,7 +110,7 @@ impl Summed {
             return self.classes(frame).map(|(classes, _)| Cow::Borrowed(classes));
         }
         let fits = [&frame.centre, &frame.scale].iter().all(|numbers| numbers.len() == self.states);
-        if !fits || frame.covariate_scale.len() != self.regressors.len() {
+        if !fits || !self.has_each_covariate(frame) {
             return None;
         }
         let elements = Elements::new(self.elements.blocks()[..1].to_vec());
@@ -138,6 +138,11 @@ impl Summed {
             None => present(evidence, &self.elements),
         };
         head.into_iter().chain(present).chain(pooled.numbers()).collect()
+    }
+
+    /// Whether a frame has a centre and a scale for each covariate.
+    fn has_each_covariate(&self, frame: &Frame) -> bool {
+        [&frame.covariate_centre, &frame.covariate_scale].iter().all(|of| of.len() == self.regressors.len())
     }
 
     fn is_state(&self, numbers: &[f64]) -> bool {

@@ -50,7 +50,11 @@ impl AsymptoticLaw<'_> {
                 None => 0.0,
             };
             let mut derivative = DVector::zeros(coordinates + free.len());
-            by_row.column(row).iter().for_each(|&(c, x)| derivative[c] = x);
+            if is_of_mean(quantity) {
+                derivative.rows_mut(0, coordinates).copy_from(&self.derivative_of_coordinate(row));
+            } else {
+                by_row.column(row).iter().for_each(|&(c, x)| derivative[c] = x);
+            }
             (0..free.len()).for_each(|c| derivative[coordinates + c] = of_value(c));
             if derivative.amax() > FIXED_DERIVATIVE {
                 all.push((quantity, derivative * unit));

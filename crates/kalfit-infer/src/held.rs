@@ -77,13 +77,12 @@ impl<'a> Holder<'a> {
         let frame = &self.state.problem.classes.frame;
         match what {
             Holdable::Mean(i) => {
-                let row = self.state.problem.mean.jacobian().row(i).transpose();
-                self.mean(&row, frame.scale[i], (value - frame.centre[i]) / frame.scale[i] - near.mean[i], near)
+                let now = self.state.problem.values_of(near).mean[i];
+                self.mean(&self.coordinate(i), frame.scale[i], (value - now) / frame.scale[i], near)
             }
             Holdable::Coefficient(c) => {
                 let map = &self.state.problem.mean;
-                let row = map.jacobian().row(frame.scale.len() + c).transpose();
-                let unit = map.coefficient_scale[c];
+                let (row, unit) = (self.coordinate(frame.scale.len() + c), map.coefficient_scale[c]);
                 self.mean(&row, unit.recip(), value * unit - near.coefficients[c], near)
             }
             Holdable::StdDev(i) => {
@@ -113,7 +112,20 @@ impl<'a> Holder<'a> {
 
     /// Weights on (μ, γ) in the user's units, converted to η.
     fn scaled(&self, weights: &DVector<f64>) -> DVector<f64> {
-        weights.component_mul(&DVector::from_vec(self.state.problem.mean_units()))
+        let problem = &self.state.problem;
+        let mut scaled = weights.component_mul(&DVector::from_vec(problem.mean_units()));
+        problem.mean.centring.weights(scaled.as_mut_slice());
+        scaled
+    }
+
+    /// Derivatives of a mean coordinate (μ in η, then γ), with covariates that are not centred, by (b, γ).
+    fn coordinate(&self, row: usize) -> DVector<f64> {
+        let map = &self.state.problem.mean;
+        let jacobian = map.jacobian();
+        let mut weights = DVector::zeros(jacobian.nrows());
+        weights[row] = 1.0;
+        map.centring.weights(weights.as_mut_slice());
+        jacobian.transpose() * weights
     }
 
     /// The maximum with row'(b, γ) held at the value at `near` plus `shift`; `unit` is one unit of row'(b, γ) in the

@@ -107,6 +107,7 @@ pub(crate) fn parts_with_parameters(
     let (means, scale) = (problem.mean_units(), &problem.classes.frame.scale);
     let elements: Vec<f64> = problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
     let first = moved.len() - elements.len();
+    problem.mean.centring.uncentre(moved.as_mut_slice());
     let least = MIN_DIFFERENCED_WEIGHT * moved.amax();
     moved.apply(|weight| *weight = if weight.abs() > least { *weight } else { 0.0 });
     let parts = [(Quantity::Mean, 0, &means[..]), (Quantity::Covariance, first, &elements[..])];
@@ -179,8 +180,14 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
     // in η the average test has unit information on each element, so 1 is the natural size
     null_space(&|| information.clone(), &vec![1.0; basis.ncols()], pooled.diagonal().amax())
         .into_iter()
-        .map(|v| to_user_units(Quantity::Mean, &(basis * v), &units))
+        .map(|v| to_user_units(Quantity::Mean, &uncentred(problem, basis * v), &units))
         .collect()
+}
+
+/// A direction of the mean coordinates without the centring of covariates.
+fn uncentred(problem: &Problem, mut direction: DVector<f64>) -> DVector<f64> {
+    problem.mean.centring.uncentre(direction.as_mut_slice());
+    direction
 }
 
 /// Converts a direction in η to the user's units.

@@ -129,6 +129,7 @@ impl<'a> AsymptoticLaw<'a> {
     fn weights(&self, entries: &[(usize, f64)]) -> DVector<f64> {
         let mut weights = DVector::zeros(self.jacobian.nrows());
         entries.iter().for_each(|&(k, w)| weights[k] += w);
+        self.state.problem.mean.centring.weights(weights.as_mut_slice());
         weights
     }
 
@@ -186,6 +187,11 @@ impl<'a> AsymptoticLaw<'a> {
             Some(weights) => self.jacobian.transposed_times(&weights),
             None => DVector::zeros(self.jacobian.ncols()),
         }
+    }
+
+    /// Derivative of a mean coordinate (μ in η, then γ), with covariates that are not centred, along the tangent basis.
+    pub(super) fn derivative_of_coordinate(&self, row: usize) -> DVector<f64> {
+        self.jacobian.transposed_times(&self.weights(&[(row, 1.0)]))
     }
 
     /// Derivative of weights'(μ, γ) along the tangent basis.

@@ -59,20 +59,40 @@ impl GroupedTests<'_> {
         symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
     }
 
-    /// d(group mean) / d(μ, regression coefficients) in the user's units; `None` where `numbers` is empty.
-    fn follows(&self, numbers: &[f64]) -> Option<DMatrix<f64>> {
-        let p = self.units.states;
-        let units = self.problem.mean_units();
-        let (own, coefficients) = (&units[..p], &units[units.len() - self.problem.mean.regressors.len()..]);
-        let of: Vec<f64> = own.iter().chain(coefficients).copied().collect();
-        let entry = |i: usize, c: usize| numbers[i * of.len() + c] * own[i] / of[c];
-        (!numbers.is_empty()).then(|| DMatrix::from_fn(p, of.len(), entry))
+    /// The mean of a group at covariate zero, in the user's units, from that at the average of centred covariates.
+    fn mean(&self, centred: &[f64], point: &Point) -> Vec<f64> {
+        let mut coordinates = [centred, &point.coefficients].concat();
+        self.problem.mean.centring.of_first(self.units.states).uncentre(&mut coordinates);
+        self.problem.classes.frame.mean_out(&coordinates[..self.units.states])
     }
 
-    fn group(&self, found: &kalfit_estimate::ScaledGroupPosterior, tests: usize) -> GroupPosterior {
+    /// d(group mean) / d(μ, regression coefficients) in the user's units, from the same by centred coordinates by rows;
+    /// `None` where `numbers` is empty.
+    fn follows(&self, numbers: &[f64]) -> Option<DMatrix<f64>> {
+        let (p, regressors) = (self.units.states, self.problem.mean.regressors.len());
+        let units = self.problem.mean_units();
+        let of: Vec<f64> = units[..p].iter().chain(&units[units.len() - regressors..]).copied().collect();
+        let centring = self.problem.mean.centring.of_first(p);
+        let row = |numbers: &[f64]| {
+            let mut row = numbers.to_vec();
+            centring.derivatives(&mut row);
+            row
+        };
+        let mut rows: Vec<Vec<f64>> = numbers.chunks_exact(of.len()).map(row).collect();
+        for c in 0..of.len() {
+            // the mean at covariate zero follows the coefficient itself, too
+            let mut direction = vec![0.0; of.len()];
+            direction[c] = f64::from(u8::from(c >= p));
+            centring.uncentre(&mut direction);
+            rows.iter_mut().enumerate().for_each(|(i, row)| row[c] += direction[i]);
+        }
+        (!numbers.is_empty()).then(|| DMatrix::from_fn(p, of.len(), |i, c| rows[i][c] * units[i] / of[c]))
+    }
+
+    fn group(&self, found: &kalfit_estimate::ScaledGroupPosterior, tests: usize, point: &Point) -> GroupPosterior {
         GroupPosterior {
             log_likelihood: found.log_density,
-            mean: self.problem.classes.frame.mean_out(&found.mean),
+            mean: self.mean(&found.mean, point),
             covariance: self.covariance(&found.covariance),
             distance: Distance::new(found.squared, found.degrees_of_freedom),
             within: found.within,
@@ -105,7 +125,11 @@ pub(super) fn posteriors(
         tests.push(own, &problem.classes.frame.mean_out(mean), covariance.as_slice());
     }
     let of_level = |(level, groups): (usize, &Vec<kalfit_estimate::ScaledGroupPosterior>)| {
-        groups.iter().zip(grouping.groups(level)).map(|(one, group)| grouped_tests.group(one, group.tests)).collect()
+        groups
+            .iter()
+            .zip(grouping.groups(level))
+            .map(|(one, group)| grouped_tests.group(one, group.tests, point))
+            .collect()
     };
     Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
 }

@@ -100,14 +100,17 @@ impl Moments {
 }
 
 /// Columns that states, or parameters that are sought, are multiplied by in what is measured beside a constant of which the same is true, or
-/// that means are regressed on.
+/// that means are regressed on which are not free: other such columns are centred.
 fn multipliers(phase: &Phase) -> BTreeSet<usize> {
     let model = &phase.model;
     let mut is_sought = |part: &Expression| match part {
         Expression::Parameter(index) => matches!(model.parameters[*index].value, Value::Free { .. }),
         _ => false,
     };
-    let mut found: BTreeSet<usize> = model.mean.regression.iter().map(|regression| regression.column).collect();
+    let mut found: BTreeSet<usize> = {
+        let kept = model.mean.regression.iter().filter(|regression| !model.mean.is_free_alone(regression.element));
+        kept.map(|regression| regression.column).collect()
+    };
     for measurement in &model.measurements {
         let of_states = measurement.equation.terms.iter().map(|(_, coefficient)| coefficient);
         let others = summands(&measurement.equation.constant).into_iter().filter(|term| term.any(&mut is_sought));

@@ -59,7 +59,8 @@ pub fn information_lost(
 /// log |I| on the free directions, with respect to a basis of the directions that is orthonormal in the user's units.
 fn log_determinant(state: &FinalState) -> Option<f64> {
     let (problem, tangent) = (&state.problem, &state.newton_iterate.tangent);
-    let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());
+    let scale = &problem.classes.frame.scale;
+    let mean = problem.mean.centring.uncentred(&problem.mean.jacobian());
     let m = mean.nrows();
     let mut units = problem.mean_units();
     units.extend(problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]));

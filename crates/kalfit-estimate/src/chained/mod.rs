@@ -179,7 +179,12 @@ mod tests {
     /// A class of one test in phases of three states.
     fn chain(phases: usize) -> (ChainedClass, Frame) {
         let (chain, ranges, _) = test(phases, (3, 3));
-        let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
+        let frame = Frame {
+            centre: vec![0.0; 3 * phases],
+            scale: vec![1.0; 3 * phases],
+            covariate_centre: Vec::new(),
+            covariate_scale: Vec::new(),
+        };
         (ChainedClass::new(&[&chain], &ranges, &frame), frame)
     }
 
@@ -206,7 +211,8 @@ mod tests {
             }),
         };
         let scale = wave(5, p * phases).iter().map(|x| 1.5 + x).collect();
-        let frame = Frame { centre: wave(11, p * phases), scale, covariate_scale: Vec::new() };
+        let frame =
+            Frame { centre: wave(11, p * phases), scale, covariate_centre: Vec::new(), covariate_scale: Vec::new() };
         let chain = Chain { phases: (0..phases).map(phase).collect() };
         (chain, (0..phases).map(|f| p * f..p * f + p).collect(), frame)
     }
@@ -293,7 +299,12 @@ mod tests {
                 phase([first, 0.0], [1.0, 0.0, 0.0], Some(link)),
             ];
             let ranges = [0..2, 2..4];
-            let frame = Frame { centre: vec![0.0; 4], scale: vec![1.0; 4], covariate_scale: Vec::new() };
+            let frame = Frame {
+                centre: vec![0.0; 4],
+                scale: vec![1.0; 4],
+                covariate_centre: Vec::new(),
+                covariate_scale: Vec::new(),
+            };
             let chained = ChainedClass::new(&[&Chain { phases }], &ranges, &frame);
             let mut root = DMatrix::zeros(4, 4);
             root.view_mut((0, 0), (2, 2)).fill_with_identity();

@@ -203,11 +203,9 @@ fn point(problem: &Problem, (mean, coefficients, sigmas): &(Vec<f64>, Vec<f64>, 
         root.view_mut((l * p, l * p), (p, p)).copy_from(&kalfit_algebra::symmetric::square_root(&scaled));
     }
     let value = |k: usize| if k < p { mean[k] } else { 0.0 };
-    Point {
-        mean: (0..all).map(|k| (value(k) - frame.centre[k]) / frame.scale[k]).collect(),
-        coefficients: coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c * s).collect(),
-        root,
-    }
+    let mean: Vec<f64> = (0..all).map(value).collect();
+    let (mean, coefficients) = problem.mean.from_user(frame, &mean, coefficients);
+    Point { mean, coefficients, root }
 }
 
 fn kinds() -> Vec<Ensemble> {

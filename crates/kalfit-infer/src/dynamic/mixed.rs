@@ -174,7 +174,16 @@ fn element_laws(problem: &Problem, law: &InitialLaw) -> Vec<([InitialLaw; 2], f6
         )
     });
     let units = problem.mean.coefficient_scale.iter().enumerate();
-    let coefficients = units.map(|(c, unit)| (moved(&|law, sign| law.regression[c].1 += sign / unit), 2.0));
+    let coefficients = units.map(|(c, unit)| {
+        let mut coordinates = vec![0.0; scale.len() + problem.mean.coefficient_scale.len()];
+        coordinates[scale.len() + c] = 1.0;
+        problem.mean.centring.uncentre(&mut coordinates);
+        let change = |law: &mut InitialLaw, sign: f64| {
+            law.regression[c].1 += sign / unit;
+            (0..p).for_each(|i| law.mean[i] += sign * scale[i] * coordinates[i]);
+        };
+        (moved(&change), 2.0)
+    });
     let blocks = scale.len() / p.max(1);
     let covariances = problem.covariance.elements.all().map(|(i, j)| {
         let with = |law: &mut InitialLaw, sign: f64| {

@@ -17,7 +17,8 @@ use crate::ratio::nested::regressions;
 use kalfit_algebra::elements::Elements;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::Order;
-use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, PhaseForm, Problem, generic_root};
+use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, PhaseForm, Point, Problem, generic_root};
+use kalfit_model::Population;
 
 /// Eigenvalues of an information or of a block of Σ, scaled to unit diagonal, below this threshold count as zero.
 const ZERO_EIGENVALUE: f64 = 1e-10;
@@ -40,7 +41,9 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
         regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let information = information(null, outer, &regression_indices);
     let wide = directions(outer, outer.mean.jacobian(), &null.state.newton_iterate.point.root);
-    let mean = narrow_mean(&null.state.problem.mean.jacobian(), outer.mean.jacobian().nrows(), &regression_indices);
+    let uncentred = inner.mean.centring.uncentred(&inner.mean.jacobian());
+    let mean = narrow_mean(&uncentred, outer.mean.jacobian().nrows(), &regression_indices);
+    let mean = outer.mean.centring.centred(&mean);
     let narrow = directions(inner, mean, &null.state.newton_iterate.point.root);
     let rank = |basis: &DMatrix<f64>| rank(&(basis.transpose() * &information * basis));
     let degrees_of_freedom = rank(&wide).saturating_sub(rank(&narrow));
@@ -66,10 +69,10 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
 
 /// Expected information on mean coordinates and elements of Σ of the model, at the estimate of the hypothesis.
 fn information(null: &Estimate, outer: &Problem, regression_indices: &[usize]) -> DMatrix<f64> {
-    let mut point = null.state.newton_iterate.point.clone();
     let mut coefficients = vec![0.0; outer.mean.regressors.len()];
-    regression_indices.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
-    point.coefficients = coefficients;
+    regression_indices.iter().zip(&null.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
+    let values = Population { mean: null.mean.clone(), coefficients, covariance: null.covariance.clone() };
+    let point = Point { root: null.state.newton_iterate.point.root.clone(), ..outer.point_of(&values) };
     outer.likelihood(&point, Order::Expected).all_expected_information()
 }
 

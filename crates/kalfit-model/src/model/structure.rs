@@ -56,6 +56,16 @@ impl MeanStructure {
         MeanStructure { elements: vec![MeanElement::Fixed(0.0); p], ..MeanStructure::free(p) }
     }
 
+    /// Whether element i is estimated and no other element moves with it, so that a constant multiple of a covariate can
+    /// be moved between the element and the regression.
+    pub fn is_free_alone(&self, i: usize) -> bool {
+        let depends = |element: &MeanElement| match element {
+            MeanElement::Tied { terms, .. } => terms.iter().any(|&(k, _)| k == i),
+            _ => false,
+        };
+        matches!(self.elements[i], MeanElement::Free) && !self.elements.iter().any(depends)
+    }
+
     /// (m0, B) of μ = m0 + Bβ without the regression: m0 has p elements, B is p × q.
     pub fn basis(&self) -> (Vec<f64>, DMatrix<f64>) {
         let p = self.elements.len();

@@ -14,6 +14,8 @@ pub struct Coordinates {
     pub centre: Vec<f64>,
     /// Scale of each state, greater than zero.
     pub scale: Vec<f64>,
+    /// Centre of each covariate; zero where the covariate is not centred.
+    pub covariate_centre: Vec<f64>,
     /// Scale of each covariate.
     pub covariate_scale: Vec<f64>,
 }
@@ -44,6 +46,7 @@ impl Coordinates {
         Coordinates {
             centre: pick_states(&self.centre),
             scale: pick_states(&self.scale),
+            covariate_centre: self.covariate_centre.clone(),
             covariate_scale: self.covariate_scale.clone(),
         }
     }

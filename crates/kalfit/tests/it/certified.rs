@@ -69,9 +69,9 @@ fn the_certificate_knows_what_rounding_leaves_open() {
     }
 }
 
-/// A regression whose column and coefficient are large cancels against the mean.
+/// Wherever a column counts from, and however large the coefficient, what is centred costs no rounding.
 #[test]
-fn rounding_of_regressions_counts() {
+fn a_regression_far_from_zero_costs_no_rounding() {
     let recipe =
         Recipe { p: 1, tests: 40, rank: 1, observed: 1, strength: 3.0, designs: 40, regressors: 1, mild: true };
     let regression = vec![Regression { element: 0, column: 0 }];
@@ -91,13 +91,8 @@ fn rounding_of_regressions_counts() {
         let limit = found.certificate.rounding.max(1e-6);
         assert!(found.certificate.mean < limit, "the score is no more than rounding: {:?}", found.certificate);
     }
-    println!(
-        "rounding {:.1e} about the origin, {:.1e} far from it",
-        near.certificate.rounding, far.certificate.rounding
-    );
     assert!(near.certificate.rounding < 1e-6, "{:?}", near.certificate);
-    assert!(far.certificate.rounding > 1e3 * near.certificate.rounding, "{:?}", far.certificate);
-    assert!(far.certificate.rounding > 1e-4, "{:?}", far.certificate);
+    assert!(far.certificate.rounding < 1e-6, "{:?}", far.certificate);
 }
 
 /// Moves of mean and Σ that stay feasible, in the sizes of the estimates, and ℓ there by dense algebra.
