@@ -159,7 +159,7 @@ fn check_names_what_data_do_not_identify() {
 
     What the data cannot determine
       Not identified: only the sum level + slope is determined, not each alone
-        (means and variances). The start values of what is not were kept. Fix one,
+        (means and variances). Other values of what is not fit as well. Fix one,
         e.g. `slope.initial = { mean = 0, sigma = 0 }`.
 
     Convergence and model check

@@ -30,21 +30,21 @@ pub(crate) fn section(
 }
 
 /// What the data say nothing about, one sentence for each reason; directions that mix phases are left to the notes, which name
-/// them whole. `kept`: start values stand in their place.
-pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept: bool) -> Vec<String> {
+/// them whole. `estimated`: a fit gives values all the same, which say nothing.
+pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], estimated: bool) -> Vec<String> {
     let one_reason = |a: &UnidentifiedRecord, b: &UnidentifiedRecord| !a.reason.is_empty() && a.reason == b.reason;
     let sentence = |group: &[UnidentifiedRecord]| {
         let what: Vec<String> = group.iter().map(|u| direction(u, states)).collect();
-        let is_kept = kept && !group[0].reason.contains(FOLLOWS);
-        let kept = match (is_kept, group.len()) {
+        let is_open = estimated && !group[0].reason.contains(FOLLOWS);
+        let open = match (is_open, group.len()) {
             (false, _) => "",
-            (true, 1) => ", whose start value was kept",
-            (true, _) => ", whose start values were kept",
+            (true, 1) => ", whose value here is one of many that fit as well",
+            (true, _) => ", whose values here are some of many that fit as well",
         };
-        format!("Not identified: {}{kept}.{}", list(&what, MOST_DIRECTIONS), reason(&group[0]))
+        format!("Not identified: {}{open}.{}", list(&what, MOST_DIRECTIONS), reason(&group[0]))
     };
     let mut own: Vec<UnidentifiedRecord> = found.iter().filter(|u| u.phases.is_empty()).cloned().collect();
-    let joined = pairs::joined(&mut own, states, kept);
+    let joined = pairs::joined(&mut own, states, estimated);
     own.chunk_by(one_reason).map(sentence).chain(joined).collect()
 }
 

@@ -10,11 +10,11 @@ use crate::words::clean;
 const EXACT: f64 = 1e-6;
 
 /// Takes out of `found` what belongs to such pairs, and says it of each pair in a sentence with its cure.
-pub(super) fn joined(found: &mut Vec<UnidentifiedRecord>, states: &[String], kept: bool) -> Vec<String> {
+pub(super) fn joined(found: &mut Vec<UnidentifiedRecord>, states: &[String], estimated: bool) -> Vec<String> {
     let mut sentences = Vec::new();
     let mut at = 0;
     while let Some(one) = found.get(at) {
-        let Some((sentence, pair)) = sentence(one, found, states, kept) else {
+        let Some((sentence, pair)) = sentence(one, found, states, estimated) else {
             at += 1;
             continue;
         };
@@ -29,7 +29,7 @@ fn sentence(
     mean: &UnidentifiedRecord,
     found: &[UnidentifiedRecord],
     states: &[String],
-    kept: bool,
+    estimated: bool,
 ) -> Option<(String, [String; 2])> {
     if mean.what != "mean" || !inseparable(mean) {
         return None;
@@ -52,9 +52,9 @@ fn sentence(
         r => format!("{first} {} {} {second}", if r < 0.0 { "-" } else { "+" }, plain(r.abs(), 3)),
     };
     let which = if variances { "means and variances" } else { "means" };
-    let kept = if kept { " The start values of what is not were kept." } else { "" };
+    let open = if estimated { " Other values of what is not fit as well." } else { "" };
     let text = format!(
-        "Not identified: only {what} is determined, not each alone ({which}).{kept} Fix one, e.g. `{second}.initial = {{ mean = 0, \
+        "Not identified: only {what} is determined, not each alone ({which}).{open} Fix one, e.g. `{second}.initial = {{ mean = 0, \
          sigma = 0 }}`."
     );
     Some((text, names))

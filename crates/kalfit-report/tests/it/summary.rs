@@ -81,10 +81,10 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
 
     What the data cannot determine
       Σ is singular: rank 1 of 3; the variance of misalignment is estimated as zero.
-      Not identified: the combination 0.8 scale - 0.6 bias of the means, whose start
-        value was kept.
-      Not identified: the covariance of bias and scale, whose start value was kept.
-        `bias` and `scale` are never observed in one test.
+      Not identified: the combination 0.8 scale - 0.6 bias of the means, whose value
+        here is one of many that fit as well.
+      Not identified: the covariance of bias and scale, whose value here is one of
+        many that fit as well. `bias` and `scale` are never observed in one test.
 
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
