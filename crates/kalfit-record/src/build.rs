@@ -90,6 +90,7 @@ impl FitRecord {
             certificate: certificate(estimate),
             model_check: None,
             misfit: None,
+            search: None,
             solver: solver(estimate, provenance.seconds),
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),

@@ -4,7 +4,7 @@ use crate::build;
 use crate::diagnosis::{joined, list};
 use crate::parameters;
 use crate::parameters::{MethodRecord, StartRecord, ZERO_MEANING, meaning};
-use crate::{FitRecord, Provenance};
+use crate::{FitRecord, Provenance, SearchRecord};
 use kalfit_estimate::{Criterion, Stop};
 use kalfit_infer::dynamic::MOST_PROFILED;
 use kalfit_infer::{Inference, IntervalKind};
@@ -90,6 +90,7 @@ impl FitRecord {
         record.solver.filter_passes = fit.filter_passes;
         record.solver.score_passes = fit.score_passes;
         record.solver.trace = fit.trace.clone();
+        record.search = SearchRecord::of(parts);
         record.starts = StartRecord::all(fit);
         let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
         notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT_DATA_ADVICE.to_owned()] });

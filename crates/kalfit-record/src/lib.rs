@@ -29,6 +29,7 @@ mod posteriors;
 mod predicted;
 mod quantities;
 mod ratio;
+mod search;
 mod series;
 mod series_keeper;
 mod square;
@@ -70,6 +71,7 @@ pub use posteriors::PosteriorRecords;
 pub use predicted::{PairRecord, PredictedRecord, PredictedSource, PredictedValueRecord, name_of};
 pub use quantities::QuantityRecord;
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
+pub use search::{SearchRecord, StageRecord};
 pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
 pub use series_keeper::SeriesKeeper;
 pub use square::{NotSquare, SquareRecord};
@@ -126,6 +128,9 @@ pub struct FitRecord {
     pub misfit: Option<MisfitRecord>,
     /// How the fit was computed.
     pub solver: SolverRecord,
+    /// How the dynamic parameters were found; absent without free parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub search: Option<SearchRecord>,
     /// How standard errors were computed: `observed`, `expected` or `sandwich`.
     #[serde(default)]
     pub std_errors: String,

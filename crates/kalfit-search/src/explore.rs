@@ -10,13 +10,14 @@ use crate::coordinates::alike;
 use crate::exchangeable::ordered;
 use crate::places::{deduplicated, places};
 use crate::profile_likelihood::ProfileLikelihood;
+use crate::record::{Candidate, Origin};
 use crate::sample::{
     CLOSE_LOSS, MAX_FOLLOWED, SAME_END_DIFFERENCE, SubsampleProgress, larger, refined, rough_settings, sample,
     total_rows,
 };
 use crate::search::search;
 use crate::search_state::{MIN_RISE, SearchEnd, SearchStart, SearchState};
-use crate::tries::with_likelihood;
+use crate::tries::likelihoods_at;
 use crate::{DynamicError, Explored, Method, Settings, start};
 use kalfit_estimate::{Progress, Stop};
 
@@ -79,8 +80,8 @@ fn explore_sample(
     let looked = explore_from_best((small, small), &mut found, (all_given, CLOSE_LOSS), &mut subsample_progress)?;
     found.sort_by(|a, b| b.iterate.value().total_cmp(&a.iterate.value()));
     let highest = found[0].iterate.value();
-    let near = found.iter().filter(|end| highest - end.iterate.value() <= CLOSE_LOSS).map(SearchEnd::restart);
-    let elsewhere = near.filter(|values| !alike(&ordered(&objective.twins, values), &known, SAME_END_DIFFERENCE));
+    let near = found.iter().filter(|end| highest - end.iterate.value() <= CLOSE_LOSS).map(Candidate::from);
+    let elsewhere = near.filter(|place| !alike(&ordered(&objective.twins, &place.values), &known, SAME_END_DIFFERENCE));
     let elsewhere: Vec<SearchStart> = elsewhere.take(MAX_FOLLOWED).map(SearchStart::from).collect();
     for start in away_from(&iterate, elsewhere, (objective, hybrid), progress) {
         let floor = best(ends).map(|best| best.iterate.value() + MIN_RISE);
@@ -88,7 +89,7 @@ fn explore_sample(
         if progress.stops() {
             return Ok(Explored::Part);
         }
-        let mut search = SearchState::new(hybrid, progress, iterate).with_best_known(floor);
+        let mut search = SearchState::new(hybrid, progress, iterate).with_best_known(floor).with_origin(start.origin);
         search.start_from_curvature(start.curvature);
         let end = search.run()?;
         if is_higher(&end, floor) {
@@ -132,7 +133,7 @@ fn by_method(
 ) -> Result<SearchEnd, DynamicError> {
     match objective.settings.method {
         Method::Hybrid => Ok(found),
-        _ => search(objective, found.restart().into(), None, progress),
+        _ => search(objective, Candidate::from(&found).into(), None, progress),
     }
 }
 
@@ -150,11 +151,13 @@ pub fn around(
     let affordable_runs = objective.filter_passes() + affordable_runs(objective);
     let floor = end.iterate.value() + MIN_RISE;
     let mut places = places(objective, &end, Some(held), progress);
-    places.extend(start::from_data(objective, Some((held, end.iterate.values[held])), progress));
+    places.extend(Origin::Data.of(start::from_data(objective, Some((held, end.iterate.values[held])), progress)));
     let mut found =
         places.into_iter().take_while(|_| objective.filter_passes() < affordable_runs).filter_map(|place| {
-            let iterate = objective.solve(&place, None).ok()?;
-            let mut search = SearchState::new(objective, &mut *progress, iterate).with_best_known(Some(floor));
+            let iterate = objective.solve(&place.values, None).ok()?;
+            let mut search = SearchState::new(objective, &mut *progress, iterate)
+                .with_best_known(Some(floor))
+                .with_origin(place.origin);
             search.hold(held);
             search.run().ok().filter(|found| found.stop == Stop::Certified && found.iterate.value() > floor)
         });
@@ -187,7 +190,7 @@ fn explore_from_best(
         let best = best(ends);
         let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
         if round == 0 && all_given {
-            places.extend(start::from_data(objective, None, progress));
+            places.extend(Origin::Data.of(start::from_data(objective, None, progress)));
         }
         let mut floor = best.map(|best| best.iterate.value() + MIN_RISE);
         let new_maximum_floor = floor.map(|floor| floor + SAME_MAXIMUM);
@@ -200,10 +203,11 @@ fn explore_from_best(
             if hybrid.filter_passes() >= affordable_runs || progress.stops() {
                 return Ok(Explored::Part);
             }
-            tried.push(place.clone());
-            let Ok(iterate) = hybrid.solve(&place, None) else { continue };
+            tried.push(place.values.clone());
+            let Ok(iterate) = hybrid.solve(&place.values, None) else { continue };
             let lowest_value = floor.map(|floor| floor - slack);
-            let found = SearchState::new(hybrid, progress, iterate).with_best_known(lowest_value).run()?;
+            let search = SearchState::new(hybrid, progress, iterate).with_best_known(lowest_value);
+            let found = search.with_origin(place.origin).run()?;
             if !is_higher(&found, lowest_value) {
                 continue;
             }
@@ -223,9 +227,9 @@ fn explore_from_best(
 }
 
 /// The points that have not been tried, without repetitions.
-fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let ordered = places.iter().map(|place| ordered(&objective.twins, place));
-    deduplicated(ordered.filter(|place| !tried.contains(place)))
+fn untried(objective: &ProfileLikelihood<'_>, places: &[Candidate], tried: &[Vec<f64>]) -> Vec<Candidate> {
+    let ordered = |place: &Candidate| Candidate { values: ordered(&objective.twins, &place.values), ..*place };
+    deduplicated(places.iter().map(ordered).filter(|place| !tried.contains(&place.values)))
 }
 
 /// The points in alternation, without repetitions: the remaining point with the highest ℓ, then the next point of the
@@ -234,20 +238,23 @@ fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<
 /// other half allows.
 fn interleaved(
     objective: &ProfileLikelihood<'_>,
-    places: Vec<Vec<f64>>,
+    places: Vec<Candidate>,
     affordable_runs: usize,
     progress: &mut dyn Progress,
-) -> Vec<Vec<f64>> {
+) -> Vec<Candidate> {
     let affordable = affordable_runs.saturating_sub(objective.filter_passes()) / 2;
-    let mut with_likelihood = with_likelihood(objective, places[..affordable.min(places.len())].to_vec(), progress);
+    let first: Vec<Vec<f64>> = places.iter().take(affordable).map(|place| place.values.clone()).collect();
+    let values = likelihoods_at(objective, &first, progress);
+    let mut with_likelihood: Vec<(&Candidate, f64)> =
+        places.iter().zip(values).filter_map(|(place, value)| Some((place, value?))).collect();
     with_likelihood.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut highest = with_likelihood.into_iter().map(|(place, _)| place);
-    let mut turns: Vec<Vec<f64>> = Vec::with_capacity(places.len());
-    for listed in places {
+    let mut highest = with_likelihood.into_iter().map(|(place, _)| place.clone());
+    let mut turns: Vec<Candidate> = Vec::with_capacity(places.len());
+    for listed in &places {
         let next = highest.find(|place| !turns.contains(place));
         turns.extend(next);
-        if !turns.contains(&listed) {
-            turns.push(listed);
+        if !turns.contains(listed) {
+            turns.push(listed.clone());
         }
     }
     turns

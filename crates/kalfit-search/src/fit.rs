@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use crate::profile_likelihood::ProfileLikelihood;
+use crate::record::{Candidate, SearchStage, Stages};
 use crate::search_state::SearchEnd;
 use crate::slot_name::slot_name;
 use crate::{
-    DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, exchangeable, explore, search, start, unbounded,
+    DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, coefficients, exchangeable, explore, search,
+    start, unbounded,
 };
 use kalfit_estimate::{Combination, FitError, Progress, Stage, Stop};
 use kalfit_filter::reduce::grouping;
@@ -20,8 +22,9 @@ use kalfit_model::{PhasedModel, Population, Slots};
 const ROUNDING: f64 = 1e-11;
 /// Information on the logarithm of a level below which a larger size is tried, as for a level at zero.
 const MIN_INFORMATION: f64 = 1e-2;
-/// Size at which such a level is tried, relative to the former size or, if larger, the size that the data suggest.
-const RAISED_SIZE: f64 = 0.3;
+/// Sizes at which such a level is tried, relative to the former size or, if larger, the size that the data suggest: the
+/// next where ℓ falls at one. A level that could be a variance of states instead costs nothing up to the least of them.
+const RAISED_SIZES: [f64; 2] = [0.3, 0.03];
 /// Maximal number of levels that are tried at a larger size.
 const MAX_RAISED: usize = 8;
 /// Rise of ℓ above the best certified end from which on an uncertified end is worth another search.
@@ -39,13 +42,35 @@ pub fn fit(
     let slots = Slots::in_phases(model, labels, tests);
     check_supported(model, tests, &slots, settings)?;
     let objective = ProfileLikelihood::new(model, tests, &slots, settings);
-    let (mut ends, explored, first_error) = all_ends(&objective, progress)?;
+    let ends = match coefficients::ends(&objective, progress)? {
+        Some(ends) => ends,
+        None => ends(&objective, labels, progress)?,
+    };
+    fit_at_end(&objective, ends)
+}
+
+/// The ends of all searches: the best one, from which a fit is made, and the others.
+pub(crate) struct Ends {
+    pub(crate) best: SearchEnd,
+    /// Ends of the other searches.
+    pub(crate) others: Vec<OtherEnd>,
+    /// Extent of the exploration.
+    pub(crate) explored: Explored,
+    /// Stages of the searches, and number of starts.
+    pub(crate) stages: Stages,
+    /// Names of the levels with which ℓ is unbounded.
+    pub(crate) unbounded: Vec<String>,
+}
+
+/// The ends of all searches for all free values.
+fn ends(objective: &ProfileLikelihood<'_>, labels: &Labels, progress: &mut dyn Progress) -> Result<Ends, DynamicError> {
+    let AllEnds { mut ends, explored, first_error, mut stages } = all_ends(objective, progress)?;
     let Some(at) = best_end(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
-    let (at, vanishing) = unbounded::find(&objective, &ends, at).unwrap_or((at, Vec::new()));
+    let (at, vanishing) = unbounded::find(objective, &ends, at).unwrap_or((at, Vec::new()));
     let best = ends.remove(at);
-    let best = raise_free_zeros(&objective, best, progress);
+    let best = stages.run(objective, SearchStage::Certificate, || raise_free_zeros(objective, best, progress));
     ends.sort_by(|a, b| b.iterate.value().total_cmp(&a.iterate.value()));
     let other = |end: SearchEnd| OtherEnd {
         log_likelihood: end.iterate.value(),
@@ -54,8 +79,8 @@ pub fn fit(
         given_up: end.given_up,
     };
     let others = ends.into_iter().map(other).collect();
-    let unbounded = vanishing.iter().map(|&s| slot_name(model.shared(), labels, &slots, s)).collect();
-    fit_at_end(&objective, best, (others, explored, unbounded))
+    let name = |&s: &usize| slot_name(objective.model.shared(), labels, objective.slots, s);
+    Ok(Ends { best, others, explored, stages, unbounded: vanishing.iter().map(name).collect() })
 }
 
 /// Estimates α, μ and Σ from remote tests, by one search from the start values `start`; `units`: sizes of the values
@@ -67,23 +92,39 @@ pub fn fit_remote(
     progress: &mut dyn Progress,
 ) -> Result<DynamicFit, DynamicError> {
     let objective = ProfileLikelihood::elsewhere(model, (slots, settings), (answers, units));
-    let end = search::search(&objective, start.into(), None, progress)?;
-    fit_at_end(&objective, end, (Vec::new(), Explored::No, Vec::new()))
+    let mut stages = Stages { starts: 1, ..Stages::default() };
+    let end =
+        stages.run(&objective, SearchStage::Starts, || search::search(&objective, start.into(), None, progress))?;
+    let (others, unbounded) = (Vec::new(), Vec::new());
+    fit_at_end(&objective, Ends { best: end, others, explored: Explored::No, stages, unbounded })
 }
 
-/// The ends of all searches (from the starts, from the exploration, and once more from a high uncertified end), the
-/// extent of the exploration, and the first error of a search from a start.
-fn all_ends(
+/// The ends of all searches: from the starts, from the exploration, and once more from a high uncertified end.
+pub(crate) struct AllEnds {
+    pub(crate) ends: Vec<SearchEnd>,
+    pub(crate) explored: Explored,
+    /// The first error of a search from a start.
+    first_error: Option<DynamicError>,
+    pub(crate) stages: Stages,
+}
+
+/// Searches from all starts, explores, and searches again where a high end is not certified.
+pub(crate) fn all_ends(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
-) -> Result<(Vec<SearchEnd>, Explored, Option<DynamicError>), DynamicError> {
-    let (mut ends, first_error) = search_all_starts(objective, progress)?;
+) -> Result<AllEnds, DynamicError> {
+    let mut stages = Stages::default();
+    let of_starts = stages.run(objective, SearchStage::Starts, || search_all_starts(objective, progress));
+    let (mut ends, first_error) = of_starts?;
+    stages.starts = ends.len();
+    let all_given = start::all_given(objective);
     let explored = match progress.stops() {
         true => Explored::No,
-        false => explore::explore(objective, &mut ends, start::all_given(objective), progress)?,
+        false => stages
+            .run(objective, SearchStage::Exploration, || explore::explore(objective, &mut ends, all_given, progress))?,
     };
-    search_higher_again(objective, &mut ends, progress);
-    Ok((ends, explored, first_error))
+    stages.run(objective, SearchStage::Certificate, || search_higher_again(objective, &mut ends, progress));
+    Ok(AllEnds { ends, explored, first_error, stages })
 }
 
 /// Searches once more from the highest uncertified end above the best certified end, if there is one: a search that
@@ -95,7 +136,7 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
     let Some(certified) = explore::best(ends).map(|end| end.iterate.value()) else { return };
     let higher = ends.iter().filter(|end| end.iterate.value() > certified + MIN_RISE);
     let highest = higher.max_by(|a, b| a.iterate.value().total_cmp(&b.iterate.value()));
-    if let Some(start) = highest.map(SearchEnd::restart) {
+    if let Some(start) = highest.map(Candidate::from) {
         ends.extend(search::search(objective, start.into(), None, progress));
     }
 }
@@ -103,7 +144,11 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
 /// The end of a search, with noise levels near zero raised where ℓ does not fall at a larger size, such as the noise of
 /// a single row per test in addition to the variance of the measured state. With the level at zero, that variance would
 /// look known.
-fn raise_free_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
+pub(crate) fn raise_free_zeros(
+    objective: &ProfileLikelihood<'_>,
+    best: SearchEnd,
+    progress: &mut dyn Progress,
+) -> SearchEnd {
     let is_undetermined = |s: usize| {
         let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
         best.is_at_zero(s) || (is_open && best.joint.curvature(s).abs() < MIN_INFORMATION)
@@ -119,15 +164,20 @@ fn raise_free_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress
     let costs_nothing = |values: &[f64]| objective.solve(values, Some(&near)).is_ok_and(|there| there.value() >= least);
     let mut raised = best.iterate.values.clone();
     for &s in &zeros {
-        let before = std::mem::replace(&mut raised[s], RAISED_SIZE * best.before_zero[s].max(objective.units()[s]));
-        if !costs_nothing(&raised) {
+        let before = raised[s];
+        let is_free = RAISED_SIZES.iter().any(|size| {
+            raised[s] = size * best.before_zero[s].max(objective.units()[s]);
+            costs_nothing(&raised)
+        });
+        if !is_free {
             raised[s] = before;
         }
     }
     if raised == best.iterate.values {
         return best;
     }
-    let end = search::search(objective, raised.into(), None, progress).ok();
+    let start = Candidate { values: raised, origin: best.origin };
+    let end = search::search(objective, start.into(), None, progress).ok();
     end.filter(|end| end.stop == Stop::Certified && end.iterate.value() >= least).unwrap_or(best)
 }
 
@@ -135,11 +185,11 @@ fn raise_free_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress
 /// unbounded.
 fn fit_at_end(
     objective: &ProfileLikelihood<'_>,
-    best: SearchEnd,
-    (others, explored, unbounded): (Vec<OtherEnd>, Explored, Vec<String>),
+    Ends { best, others, explored, stages, unbounded }: Ends,
 ) -> Result<DynamicFit, DynamicError> {
     let (filter_passes, score_passes, passes) =
         (objective.filter_passes(), objective.score_passes(), objective.passes());
+    let search = stages.record(&best);
     let (alpha, sought) = (best.iterate.alpha.clone(), best.iterate.values.clone());
     let values = objective.values(&sought);
     let (reductions, estimate) = objective.with_reductions(best.iterate)?;
@@ -158,6 +208,7 @@ fn fit_at_end(
         passes,
         others,
         explored,
+        search,
         unbounded,
         joint: best.joint,
         standing: mark_edges(objective, best.standing),
@@ -168,7 +219,7 @@ fn fit_at_end(
 
 /// The best end of all searches, as a start of another search; `None` where all searches fail.
 pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
-    let (ends, ..) = all_ends(objective, progress).ok()?;
+    let AllEnds { ends, .. } = all_ends(objective, progress).ok()?;
     best_end(&ends).map(|at| ends[at].restart())
 }
 
@@ -207,7 +258,7 @@ fn mark_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec
 
 /// Index of the best certified end, the first of equal ones; an uncertified end may be on the way to an unbounded ℓ. A
 /// certified end below ℓ at the first start does not count. If no end counts, index of the highest end.
-fn best_end(ends: &[SearchEnd]) -> Option<usize> {
+pub(crate) fn best_end(ends: &[SearchEnd]) -> Option<usize> {
     let highest = |among: &dyn Fn(&SearchEnd) -> bool| {
         let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
         ends.reduce(|a, b| if b.1.iterate.value() > a.1.iterate.value() { b } else { a }).map(|(at, _)| at)

@@ -100,6 +100,9 @@ impl SearchState<'_, '_> {
                 self.marked_unbounded.fill(false);
                 self.standing[s] = Standing::Inside;
                 self.update_standing();
+                if !self.returned.contains(&s) {
+                    self.returned.push(s);
+                }
                 return true;
             }
         }

@@ -68,6 +68,14 @@ pub(crate) struct JointStep {
     pub(crate) concave: bool,
 }
 
+impl JointStep {
+    /// The step with the decrement of such a step: δ² = g'd.
+    pub(crate) fn with_decrement(self, gradient: &[f64], inner: &DVector<f64>) -> JointStep {
+        let along = self.alpha.iter().zip(gradient).map(|(d, g)| d * g).sum::<f64>() + self.inner.dot(inner);
+        JointStep { decrement: along.max(0.0).sqrt(), ..self }
+    }
+}
+
 /// A direction in α and (μ, Σ), an eigenvector of the scaled information.
 #[derive(Debug, Clone)]
 pub(crate) struct InformationDirection {
@@ -310,8 +318,7 @@ impl JointInformation {
             block.iter().zip(step.iter()).for_each(|(&s, step)| alpha[s] = *step);
         }
         let inner_step = x.rows(k, x.len() - k).into_owned();
-        let promised = self.active.iter().map(|&s| alpha[s] * gradient[s]).sum::<f64>() + inner_step.dot(inner);
-        JointStep { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
+        JointStep { alpha, inner: inner_step, decrement: 0.0, concave }.with_decrement(gradient, inner)
     }
 
     /// The direction in shared values along which ℓ curves upward most, with a largest entry of size one; `None` where

@@ -9,6 +9,7 @@
 
 mod balance;
 mod before_runs;
+mod coefficients;
 mod colours;
 mod coordinates;
 mod correlation_bounds;
@@ -35,6 +36,7 @@ mod prefetch;
 mod profile_likelihood;
 mod quadratic;
 mod quasi_newton;
+mod record;
 mod result;
 mod ridge;
 mod sample;
@@ -66,6 +68,7 @@ pub use matrices::{matrix_derivatives, matrix_gradient};
 pub use opening::{SuggestedValues, opening};
 pub use profile_likelihood::{ProfileLikelihood, ProfilePoint};
 pub use quadratic::{Iterate, ProfileInformation, Quadratic};
+pub use record::{Origin, SearchRecord, SearchStage, StageRuns};
 pub use result::{DynamicFit, Explored, OtherEnd};
 pub use scale::Scale;
 pub use search_state::{SearchEnd, SearchState};

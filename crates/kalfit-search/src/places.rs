@@ -4,6 +4,7 @@
 use crate::exchangeable::ExchangeablePair;
 use crate::noise_transfer::NoiseTransfer;
 use crate::profile_likelihood::ProfileLikelihood;
+use crate::record::{Candidate, Origin};
 use crate::scales;
 use crate::scales::time_constants;
 use crate::search_state::SearchEnd;
@@ -31,13 +32,13 @@ pub(super) fn places(
     end: &SearchEnd,
     held: Option<usize>,
     progress: &mut dyn Progress,
-) -> Vec<Vec<f64>> {
+) -> Vec<Candidate> {
     let values = &end.iterate.values;
     let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
     for twins in &objective.twins {
         let Some(one) = twins.merged(values, &objective.coordinates) else { continue };
-        all.push(one.clone());
-        all.extend(separated_pair(objective, &one, twins, progress));
+        all.extend(Origin::Merged.of([one.clone()]));
+        all.extend(Origin::Separated.of(separated_pair(objective, &one, twins, progress)));
         bases.push(one);
     }
     let is_level = |s: &usize| {
@@ -48,49 +49,49 @@ pub(super) fn places(
     let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
     let is_timed = !time_constants(objective.model).is_empty();
     for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(objective, s)) {
-        all.push(with_zero(values, s));
+        all.extend(Origin::WithoutLevel.of([with_zero(values, s)]));
     }
     for t in (0..values.len()).filter(|&t| objective.edges.has(t) && held != Some(t)) {
-        all.extend(other_correlations(values, t));
+        all.extend(Origin::Covariance.of(other_correlations(values, t)));
     }
     for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(objective, s) && has_free_covariance(objective, s))
     {
-        all.push(with_zero(values, s));
+        all.extend(Origin::WithoutLevel.of([with_zero(values, s)]));
     }
     let is_open = |parameter: &usize| objective.slots.common(*parameter).is_some_and(|s| held != Some(s));
     let timed: Vec<usize> = time_constants(objective.model).into_iter().filter(is_open).collect();
     let [white, nearly_white] = white_processes(objective, end, &timed);
     let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
-    all.extend(returned_to_noise(objective, end, &levels));
-    all.extend(held.and_then(|t| held_level_as_measurement_noise(objective, end, (t, &timed), progress)));
-    all.extend(process_to_noise(objective, values, (&levels, &nearly_white), &exchanges));
+    let mut as_noise = returned_to_noise(objective, end, &levels);
+    as_noise.extend(held.and_then(|t| held_level_as_measurement_noise(objective, end, (t, &timed), progress)));
+    as_noise.extend(process_to_noise(objective, values, (&levels, &nearly_white), &exchanges));
+    all.extend(Origin::ProcessAsNoise.of(as_noise));
     for &s in &levels {
-        all.extend(other_sizes(objective, end, (s, objective.units()[s])));
+        all.extend(Origin::LevelFromZero.of(other_sizes(objective, end, (s, objective.units()[s]))));
     }
     for parameter in timed {
-        all.extend(other_maxima(objective, parameter, values, progress));
+        all.extend(Origin::TimeConstant.of(other_maxima(objective, parameter, values, progress)));
         if white.contains(&parameter) {
-            all.extend(lengthened_process(objective, end, parameter, progress));
+            all.extend(Origin::TimeConstant.of(lengthened_process(objective, end, parameter, progress)));
         }
         for base in &bases {
-            all.extend(
-                levels
-                    .iter()
-                    .filter_map(|&s| noise_to_process(objective, (base, end.iterate.value()), s, parameter, progress)),
-            );
+            let height = end.iterate.value();
+            let from =
+                levels.iter().filter_map(|&s| noise_to_process(objective, (base, height), s, parameter, progress));
+            all.extend(Origin::NoiseAsProcess.of(from));
         }
     }
-    all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
-    all.extend(scaled_times(objective, values));
+    all.extend(Origin::Exchanged.of(exchanges.iter().map(|pair| pair.exchanged(values))));
+    all.extend(Origin::ScaledTimes.of(scaled_times(objective, values)));
     // a candidate must not move the value that is held
-    deduplicated(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
+    deduplicated(all.into_iter().filter(|place| held.is_none_or(|s| place.values[s] == values[s])))
 }
 
-/// The points in the given order, without repetitions.
-pub(super) fn deduplicated(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
-    let mut all: Vec<Vec<f64>> = Vec::new();
+/// The candidates in the given order, without repetitions.
+pub(super) fn deduplicated(places: impl Iterator<Item = Candidate>) -> Vec<Candidate> {
+    let mut all: Vec<Candidate> = Vec::new();
     for place in places {
-        if !all.contains(&place) {
+        if !all.iter().any(|other| other.values == place.values) {
             all.push(place);
         }
     }

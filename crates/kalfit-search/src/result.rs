@@ -1,7 +1,7 @@
 //! μ, Σ and α at the end of a search, and the ends of other searches.
 
 use crate::joint::JointInformation;
-use crate::{Method, Settings, Standing};
+use crate::{Method, SearchRecord, Settings, Standing};
 use kalfit_estimate::{Estimate, Stop};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::{Alpha, Slots};
@@ -39,6 +39,8 @@ pub struct DynamicFit {
     pub others: Vec<OtherEnd>,
     /// Extent of the exploration for other maxima from the best end.
     pub explored: Explored,
+    /// Runs of the stages, and what found the maximum.
+    pub search: SearchRecord,
     /// Noise levels, by name, that raise ℓ without bound as all of them go to zero together: the data fit the model
     /// exactly. Empty where ℓ has a maximum.
     pub unbounded: Vec<String>,

@@ -5,6 +5,7 @@ use crate::coordinates::alike;
 use crate::exchangeable::ordered;
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::quadratic::ProfileInformation;
+use crate::record::Candidate;
 use crate::search::search;
 use crate::search_state::SearchStart;
 use kalfit_estimate::{Progress, Stage, Step};
@@ -82,8 +83,8 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
 /// the part. Where all searches from `others` fail, `others` are returned unchanged.
 pub(super) fn promising(
     (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
-    given: Option<Vec<f64>>,
-    others: Vec<Vec<f64>>,
+    given: Option<Candidate>,
+    others: Vec<Candidate>,
     progress: &mut dyn Progress,
 ) -> Vec<SearchStart> {
     let mut part = Subsample { small, more: objective.rows() as f64 / small.rows() as f64, best_known: None, progress };
@@ -155,7 +156,7 @@ impl Subsample<'_, '_> {
         let end = search(self.small, start, self.best_known, &mut subsample_progress).ok()?;
         let curvature = ProfileInformation::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.iterate))
             .map(|curvature| curvature.times(self.more));
-        Some((end.iterate.value(), SearchStart { values: end.restart(), curvature }))
+        Some((end.iterate.value(), SearchStart { values: end.restart(), origin: end.origin, curvature }))
     }
 
     /// The start, or the end of a search from the start if ℓ of all data is no lower at that end; ℓ of the part at that

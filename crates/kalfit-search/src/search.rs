@@ -94,8 +94,20 @@ impl<'b, 'a> SearchState<'b, 'a> {
         if self.iterate.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.iterate.estimate.stop;
         }
-        let SearchState { iterate, standing, trace, before_zero, level_scale, given_up, .. } = self;
-        SearchEnd { iterate, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up }
+        let SearchState { iterate, origin, returned, standing, trace, before_zero, level_scale, given_up, .. } = self;
+        SearchEnd {
+            iterate,
+            origin,
+            returned,
+            standing,
+            joint,
+            certificate,
+            stop,
+            trace,
+            before_zero,
+            level_scale,
+            given_up,
+        }
     }
 
     /// Whether ℓ is linear in some logarithm: without curvature Newton's method makes no step, yet there is no maximum.
@@ -348,7 +360,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         true
     }
 
-    /// The step, damped until no shared value goes too far; values of single tests are clamped one by one. `levels`
+    /// The step, damped until no shared value goes too far; values of single tests are clamped one by one, and so are
+    /// shared values that no damping keeps near, since ℓ hardly curves along them. `levels`
     /// move in variances, down to zero at most.
     fn damped_step(&mut self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let reach = |s: usize| match levels.iter().find(|(level, _)| *level == s) {
@@ -364,7 +377,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
                         *d = d.clamp(low, high);
                     }
                 }
-                return step;
+                return step.with_decrement(&self.iterate.gradient, self.inner_gradient());
             }
             self.damping = (3.0 * self.damping).max(0.01);
         }
@@ -429,7 +442,8 @@ pub(crate) fn search(
     progress: &mut dyn Progress,
 ) -> Result<SearchEnd, DynamicError> {
     let iterate = objective.solve(&start.values, None)?;
-    let mut search = SearchState::new(objective, progress, iterate).with_best_known(best_known);
+    let mut search =
+        SearchState::new(objective, progress, iterate).with_best_known(best_known).with_origin(start.origin);
     search.start_from_curvature(start.curvature);
     match objective.settings.method {
         Method::Hybrid | Method::Innovations => search.run(),

@@ -6,6 +6,7 @@ use crate::Standing;
 use crate::joint::JointInformation;
 use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::quadratic::{LevelScale, ProfileInformation};
+use crate::record::{Candidate, Origin};
 use kalfit_estimate::{Progress, Stage, Step, Stop};
 use kalfit_model::Population;
 
@@ -28,13 +29,20 @@ pub(super) const MIN_RISE: f64 = 1e-8;
 #[derive(Debug, Clone)]
 pub(crate) struct SearchStart {
     pub(crate) values: Vec<f64>,
+    pub(crate) origin: Origin,
     /// Curvature of ℓ about the start, estimated on a part of the data.
     pub(crate) curvature: Option<ProfileInformation>,
 }
 
 impl From<Vec<f64>> for SearchStart {
     fn from(values: Vec<f64>) -> SearchStart {
-        SearchStart { values, curvature: None }
+        SearchStart { values, origin: Origin::default(), curvature: None }
+    }
+}
+
+impl From<Candidate> for SearchStart {
+    fn from(Candidate { values, origin }: Candidate) -> SearchStart {
+        SearchStart { values, origin, curvature: None }
     }
 }
 
@@ -43,6 +51,9 @@ pub struct SearchState<'b, 'a> {
     pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) progress: &'b mut dyn Progress,
     pub(crate) iterate: ProfilePoint,
+    pub(super) origin: Origin,
+    /// Noise levels that returned from zero.
+    pub(super) returned: Vec<usize>,
     pub(crate) standing: Vec<Standing>,
     pub(crate) trace: Vec<f64>,
     /// Former size of each value: the last value before zero, or the size that the data suggest.
@@ -84,6 +95,10 @@ pub(super) struct RidgesSeen {
 pub struct SearchEnd {
     /// The last point of the search.
     pub iterate: ProfilePoint,
+    /// Origin of the start.
+    pub(crate) origin: Origin,
+    /// Noise levels that returned from zero.
+    pub(crate) returned: Vec<usize>,
     pub(crate) standing: Vec<Standing>,
     pub(crate) joint: JointInformation,
     pub(crate) certificate: f64,
@@ -124,6 +139,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
             objective,
             progress,
             iterate,
+            origin: Origin::default(),
+            returned: Vec::new(),
             standing: vec![Standing::Inside; n],
             trace,
             before_zero,
@@ -169,6 +186,18 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// Sets the best known ℓ: a search that cannot reach this ℓ is given up.
     pub(crate) fn with_best_known(mut self, best_known: Option<f64>) -> Self {
         self.best_known = best_known;
+        self
+    }
+
+    /// Sets the origin of the start.
+    pub(crate) fn with_origin(mut self, origin: Origin) -> Self {
+        self.origin = origin;
+        self
+    }
+
+    /// Declares the start to be a maximum: derivatives are by two-sided differences from the first step.
+    pub(crate) fn near_its_end(mut self) -> Self {
+        self.last_decrement = Some(0.0);
         self
     }
 

@@ -10,6 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::DynamicError;
 use crate::balance::balance;
 use crate::profile_likelihood::ProfileLikelihood;
+use crate::record::{Candidate, Origin};
 use crate::sample::{larger, promising, refined, rough_settings, sample, total_rows};
 use crate::scales::{drives, is_ratio, measures, time_constants};
 use crate::search_state::SearchStart;
@@ -38,17 +39,18 @@ pub(crate) fn starts(
     if small.value(&first).is_none() {
         objective.solve(&first, None)?; // returns the error
     }
-    let mut all = vec![first.clone()];
+    let mut all = vec![Candidate { values: first.clone(), origin: Origin::FirstStart }];
     if !unknown.is_empty() {
-        all.extend(peaks.into_iter().take(1));
+        all.extend(Origin::OtherBalance.of(peaks.into_iter().take(1)));
     }
     if unknown.len() > 1 {
-        all.extend(scattered(&small, &unknown, &first, progress)); // a single unknown has been scanned completely
+        // a single unknown has been scanned completely
+        all.extend(Origin::Scattered.of(scattered(&small, &unknown, &first, progress)));
     }
     for parameter in time_constants(objective.model).into_iter().filter(|&p| objective.slots.is_free(p)) {
-        all.extend(other_maxima(&small, parameter, &first, progress));
+        all.extend(Origin::TimeConstant.of(other_maxima(&small, parameter, &first, progress)));
     }
-    all.extend((0..objective.settings.starts).map(|k| random(objective, &first, k)));
+    all.extend(Origin::Random.of((0..objective.settings.starts).map(|k| random(objective, &first, k))));
     if total_rows(&sample) == total_rows(objective.tests) {
         return Ok(all.into_iter().map(SearchStart::from).collect());
     }

@@ -3,6 +3,7 @@
 //! A [`Model`] holds its equations as exact linear forms whose coefficients are [`Expression`]s in the columns of the
 //! data and the parameters. A model refers to columns, states and parameters by index; names serve reports only.
 
+mod coefficient;
 mod derivative;
 mod error;
 mod expression;
@@ -16,6 +17,7 @@ mod slots;
 mod stacked;
 mod structure;
 
+pub use coefficient::CoefficientsAsStates;
 pub use derivative::Tape;
 pub use error::EvaluationError;
 pub use expression::{Expression, Function, Operator, Scope};

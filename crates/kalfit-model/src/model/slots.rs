@@ -94,6 +94,25 @@ impl Slots {
         (0..self.positions.len()).map(|parameter| self.is_free(parameter)).collect()
     }
 
+    /// The slots of all other parameters, with these parameters fixed.
+    pub fn without(&self, parameters: &[usize]) -> Slots {
+        let is_kept = |slot: &Slot| !parameters.contains(&slot.parameter);
+        let before = |slot: usize| self.slots[..slot].iter().filter(|slot| is_kept(slot)).count();
+        let one = |(parameter, positions): (usize, &ParameterSlots)| match positions {
+            _ if parameters.contains(&parameter) => ParameterSlots::Fixed,
+            ParameterSlots::Fixed => ParameterSlots::Fixed,
+            ParameterSlots::Common(slot) => ParameterSlots::Common(before(*slot)),
+            ParameterSlots::Each { column, positions } => ParameterSlots::Each {
+                column: *column,
+                positions: positions.iter().map(|(&level, &slot)| (level, before(slot))).collect(),
+            },
+        };
+        Slots {
+            slots: self.slots.iter().filter(|slot| is_kept(slot)).copied().collect(),
+            positions: self.positions.iter().enumerate().map(one).collect(),
+        }
+    }
+
     /// Index of the slot of a parameter whose free value is common to all rows; `None` for any other parameter.
     pub fn common(&self, parameter: usize) -> Option<usize> {
         match &self.positions[parameter] {

@@ -24,10 +24,10 @@ pub(crate) mod spread;
 pub(crate) mod states;
 
 use kalfit::FitRecord;
-use kalfit::record::PhaseRecord;
+use kalfit::record::{PhaseRecord, SearchRecord};
 
 use crate::page::PageLayout;
-use crate::words::{clean, count, sentence};
+use crate::words::{clean, count, list, sentence};
 use crate::{TextStyle, number};
 
 /// The fit in words and tables. Every line fits `style.width` and ends with a line feed. Works from the record alone and copes
@@ -92,5 +92,25 @@ pub(crate) fn work(record: &FitRecord, page: &PageLayout<'_>) -> String {
         count(solver.filter_passes, "filter run"),
         number::seconds(solver.seconds)
     ));
-    designs + &work
+    let found = record.search.as_ref().map_or_else(String::new, |search| page.paragraph(&how_found(search)));
+    designs + &work + &found
+}
+
+/// Maximal number of names of levels in the line on the search.
+const MOST_RETURNED: usize = 3;
+
+/// What found the maximum in the dynamic parameters, and what was spent on the search.
+fn how_found(search: &SearchRecord) -> String {
+    let stages: Vec<String> =
+        search.stages.iter().map(|stage| format!("{} for {}", stage.filter_runs, clean(&stage.name))).collect();
+    let runs = if stages.len() > 1 { format!(" Filter runs: {}.", list(&stages, stages.len())) } else { String::new() };
+    let returned = match &search.returned_from_zero[..] {
+        [] => String::new(),
+        names => format!(", with {} returned from zero", list(names, MOST_RETURNED)),
+    };
+    format!(
+        "Search: {}; the maximum was found from {}{returned}.{runs}",
+        count(search.starts, "start"),
+        clean(&search.found_by)
+    )
 }

@@ -77,6 +77,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         },
         model_check: None,
         misfit: None,
+        search: None,
         solver: SolverRecord {
             method: "hybrid".into(),
             solver: "newton".into(),
