@@ -8,6 +8,7 @@ mod dense;
 mod dynamic_record;
 mod exact;
 mod expected_errors;
+mod few_tests;
 mod gaps;
 mod inference;
 mod innovations;

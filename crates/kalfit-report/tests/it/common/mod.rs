@@ -12,6 +12,7 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
         states: states.iter().map(|&s| s.into()).collect(),
         units: vec![None; p],
         mean: MeanRecord {
+            few_tests: MeanTestRecords::default(),
             estimate: (0..p).map(|i| 1.0 + i as f64).collect(),
             std_error: vec![Some(0.25); p],
             interval95: vec![None; p],
