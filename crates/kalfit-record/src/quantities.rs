@@ -41,9 +41,6 @@ figures! {
         pub lower: Option<f64> = figure { unit: FigureUnit::Element },
         /// Upper end of its 95 % interval.
         pub upper: Option<f64> = figure { unit: FigureUnit::Element },
-        /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at
-        /// lower bound`, `at upper bound`, `at the edge`, `unbounded` and `without effect`.
-        pub status: String = figure {},
         /// Degrees of freedom of a mean or regression coefficient with few tests, under `reml`.
         #[serde(default)]
         pub df: Option<f64> = figure {},
@@ -53,6 +50,9 @@ figures! {
         /// Two-sided p-value of the hypothesis that this mean or coefficient is zero.
         #[serde(default)]
         pub p_value: Option<f64> = figure {},
+        /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at
+        /// lower bound`, `at upper bound`, `at the edge`, `unbounded` and `without effect`.
+        pub status: String = figure {},
     }
 }
 

@@ -12,13 +12,14 @@ use crate::small_sample::NoDf;
 use crate::small_sample::border::{Border, log_determinant};
 use crate::small_sample::forest::Leaf;
 use crate::small_sample::variances::{Variances, exponents};
+use kalfit_estimate::Stop;
 use kalfit_filter::reduce::Reductions;
 use kalfit_search::{DynamicFit, ProfileLikelihood, Standing};
 
 /// Step of a logarithm.
 const STEP: f64 = 1e-2;
 /// Step of any other value, in its standard errors.
-const STEP_IN_ERRORS: f64 = 0.1;
+const STEP_IN_ERRORS: f64 = 0.03;
 /// Largest relative difference of derivatives of second and of fourth order.
 const MAX_DIFFERENCE: f64 = 1e-2;
 /// Most runs of the filters.
@@ -48,6 +49,9 @@ pub(crate) fn slopes(
     let slots: Vec<usize> = (0..fit.values.len()).filter(moving).collect();
     if slots.is_empty() {
         return Ok(None);
+    }
+    if fit.stop != Stop::Certified {
+        return Err(NoDf::NotCertified);
     }
     let is_shared = |s: &usize| fit.joint.shared().contains(s);
     let is_suboptimal = objective.model.phases.iter().any(|phase| phase.filter.is_some());
@@ -110,17 +114,19 @@ fn dependent(here: &Reductions, there: &Reductions) -> Vec<bool> {
 fn coordinates(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, slots: Vec<usize>) -> Variances {
     let parameter = |s: usize| fit.slots.slots()[s].parameter;
     let moving: BTreeSet<usize> = slots.iter().map(|&s| parameter(s)).collect();
-    let all_log = slots.iter().all(|&s| objective.coordinates[s].log);
-    let Some(powers) = exponents(objective.model, &moving).filter(|_| all_log) else {
-        let by_coordinate = vec![[1.0, 0.0]; slots.len()];
-        return Variances { slots, linear: false, by_coordinate };
-    };
+    let powers = exponents(objective.model, &moving);
+    // v = x^k, of the value x or of its logarithm: v' and v''/v'
     let of = |&s: &usize| {
-        let power = powers[&parameter(s)];
-        [power * fit.values[s].powf(power), power]
+        let (power, x) = (powers.as_ref()?.get(&parameter(s)).copied()?, fit.values[s]);
+        match objective.coordinates[s].log {
+            true => Some([power * x.powf(power), power]),
+            false if power == 1.0 => Some([1.0, 0.0]),
+            false => (x > 0.0).then(|| [power * x.powf(power - 1.0), (power - 1.0) / x]),
+        }
     };
-    let by_coordinate = slots.iter().map(of).collect();
-    Variances { slots, linear: true, by_coordinate }
+    let found: Option<Vec<[f64; 2]>> = slots.iter().map(of).collect();
+    let linear = found.is_some();
+    Variances { linear, by_coordinate: found.unwrap_or_else(|| vec![[1.0, 0.0]; slots.len()]), slots }
 }
 
 impl VarianceSlopes {
@@ -157,7 +163,7 @@ impl VarianceSlopes {
                 leaf.curvatures.push((both.second - &along[a].second - &along[b].second) * unit);
                 leaf.log_curvatures.push((both.log - along[a].log - along[b].log) * unit);
             }
-            // d²/dv² = (d²/du² - k d/du)/(dv/du)² with v = θ^k, u = log θ
+            // d²/dv² = (d²/du² - v''/v' d/du)/v'²
             let unit = (h * by).powi(-2);
             leaf.curvatures.push((&along[a].second - &along[a].first * (ratio * h)) * unit);
             let log_slope = self.log_slope(&self.along[a], j)?;

@@ -89,10 +89,17 @@ impl Forest {
         self.leaves.first().map_or(0, |leaf| leaf.k.nrows())
     }
 
-    /// Number of classes of tests and groups that are evaluated.
-    pub(super) fn evaluations(&self) -> usize {
-        let groups: usize = self.levels.iter().flatten().map(|members| members.len() + 1).sum();
-        self.leaves.len() + groups
+    /// Number of classes that are evaluated at each level, tests first: a class once in each class that it is part of.
+    pub(super) fn evaluations(&self) -> Vec<usize> {
+        let mut times = vec![self.units.len()];
+        for groups in self.levels.iter().rev() {
+            let members: usize = groups.iter().map(Vec::len).sum();
+            let mean = members as f64 / groups.len().max(1) as f64;
+            let last = times.last().copied().unwrap_or_default();
+            times.push((last as f64 * mean).ceil() as usize);
+        }
+        times.reverse();
+        times
     }
 }
 

@@ -105,8 +105,9 @@ impl ThetaLaw {
         if own.iter().chain(known_mean.iter()).any(|x| !x.is_finite()) {
             return None;
         }
-        let size: Vec<f64> = (0..n).map(|a| known_mean[(a, a)].max(0.0).sqrt()).collect();
-        let unit = |a: usize| if size[a] > 0.0 { size[a].recip() } else { 0.0 };
+        // the observed information may exceed that at a known mean
+        let size: Vec<f64> = (0..n).map(|a| known_mean[(a, a)].max(own[(a, a)]).max(0.0).sqrt()).collect();
+        let unit = |a: usize| if size[a] > 0.0 { size[a].recip() } else { 1.0 };
         let scaled = DMatrix::from_fn(n, n, |a, b| unit(a) * own[(a, b)] * unit(b));
         let (values, vectors) = symmetric::eigen(&scaled);
         if values.first().is_some_and(|least| *least < -MIN_EIGENVALUE) {

@@ -10,6 +10,7 @@
 //! V allows for what is estimated as zero: it is the inverse over all directions in which the structure lets Σ move, not
 //! over those of the rank of Σ̂ alone.
 
+mod assembled;
 mod border;
 mod differences;
 mod each_mean;
@@ -26,26 +27,19 @@ mod tests;
 mod theta;
 mod variances;
 
-use std::sync::Arc;
-
 use nalgebra::{DMatrix, DVector};
 
-use crate::small_sample::border::Border;
 use crate::small_sample::face::Face;
-use crate::small_sample::forest::{Forest, Leaf};
-use crate::small_sample::information::{MeanSums, ThetaLaw};
 use crate::small_sample::mean_law::MeanLaw;
-use crate::small_sample::pass::Pass;
-use crate::small_sample::theta::Theta;
-use kalfit_estimate::{Criterion, Estimate, FinalState};
+use kalfit_estimate::{Criterion, Estimate};
 use kalfit_filter::reduce::Reductions;
 
 use differences::VarianceSlopes;
 pub(crate) use differences::slopes;
 pub use each_mean::FewTests;
 
-/// Multiplications beyond which small-sample inference is left out.
-const MOST_MULTIPLICATIONS: f64 = 4e10;
+/// Number of independent tests or units beyond which the laws of many tests hold.
+const MANY_UNITS: usize = 5000;
 
 /// Method of standard errors and degrees of freedom of means under the restricted likelihood.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -151,12 +145,13 @@ pub struct SmallSample {
 }
 
 impl SmallSample {
-    /// Small-sample inference where α is known.
+    /// Small-sample inference where α is known; `None` under maximum likelihood, where none was asked for, where no mean is
+    /// free, and for more than 5000 independent tests or units, to which the laws of many tests apply.
     pub fn of(estimate: &Estimate, reductions: &Reductions, choice: DfChoice) -> Option<Result<SmallSample, NoDf>> {
         SmallSample::with_parameters(estimate, reductions, choice, &|| Ok(None))
     }
 
-    /// Small-sample inference; `noise` gives the derivatives of the tests by free parameters.
+    /// As [`SmallSample::of`]; `noise` gives the derivatives of the tests by free parameters.
     pub(crate) fn with_parameters(
         estimate: &Estimate,
         reductions: &Reductions,
@@ -166,7 +161,11 @@ impl SmallSample {
         if estimate.criterion == Criterion::Ml || choice == DfChoice::None || estimate.declared_mean() == 0 {
             return None;
         }
-        Some(small_sample(estimate, reductions, choice, noise))
+        let outermost = estimate.grouping().map(|grouping| grouping.groups(grouping.depth() - 1).len());
+        if outermost.unwrap_or(reductions.len()) > MANY_UNITS {
+            return None;
+        }
+        Some(assembled::small_sample(estimate, reductions, choice, noise))
     }
 
     /// Method of the standard errors and degrees of freedom.
@@ -190,97 +189,4 @@ impl SmallSample {
         let l = weights * self.from_user.transpose();
         self.law.joint(&l, &(weights * &self.estimates - values))
     }
-}
-
-fn small_sample(
-    estimate: &Estimate,
-    reductions: &Reductions,
-    choice: DfChoice,
-    noise: &dyn Fn() -> Result<Option<VarianceSlopes>, NoDf>,
-) -> Result<SmallSample, NoDf> {
-    let state = &estimate.state;
-    if estimate.stop != kalfit_estimate::Stop::Certified {
-        return Err(NoDf::NotCertified);
-    }
-    if reductions.remote().is_some() {
-        return Err(NoDf::Remote);
-    }
-    if reductions.has_exact() {
-        return Err(NoDf::Exact);
-    }
-    let noise = noise()?;
-    let noises = noise.as_ref().map_or(0, VarianceSlopes::len);
-    let theta = Theta::of(state, noises).ok_or(NoDf::ZeroDeviation)?;
-    let moves = noise.as_ref().is_some_and(|noise| !noise.variances.linear);
-    let border = Border::of(&state.problem, state.structure().reduced_dimension(), moves);
-    let forest = forest(state, reductions, &border, noise.as_ref()).ok_or(NoDf::Parameters)?;
-    if multiplications(&forest, &theta) > MOST_MULTIPLICATIONS {
-        return Err(NoDf::Size);
-    }
-    let roots = roots(state, border.states());
-    let pass = Pass { forest: &forest, theta: &theta, roots: &roots };
-    let totals = pass.totals().ok_or(NoDf::NotFinite)?;
-    let mean = MeanSums::of(&totals, border.states(), border.means());
-    let law = law(&pass, &mean, (choice, moves))?;
-    let (units, jacobian) = (state.problem.mean_units(), state.problem.mean.jacobian());
-    let by_user = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, c| jacobian[(i, c)] * units[i]);
-    let face = Face::of(state, &theta, noise.as_ref().map(|noise| &noise.variances));
-    let estimates = estimate.mean.iter().chain(&estimate.coefficients).copied();
-    let estimates = DVector::from_iterator(jacobian.nrows(), estimates);
-    Ok(SmallSample { law, face, from_user: by_user.transpose(), estimates })
-}
-
-fn law(pass: &Pass<'_>, mean: &MeanSums, (choice, moves): (DfChoice, bool)) -> Result<MeanLaw, NoDf> {
-    if moves {
-        let information = information::observed(pass, mean).ok_or(NoDf::NotFinite)?;
-        return Ok(MeanLaw::moving(mean, ThetaLaw::of(pass, &information).ok_or(NoDf::Parameters)?));
-    }
-    let information = information::expected(pass, mean).ok_or(NoDf::NotFinite)?;
-    let theta = ThetaLaw::of(pass, &information).ok_or(NoDf::NotFinite)?;
-    if choice == DfChoice::Satterthwaite {
-        return Ok(MeanLaw::satterthwaite(mean, theta));
-    }
-    let bent = pass.contracted(&theta.covariance).ok_or(NoDf::NotFinite)?;
-    let (first, q) = (pass.roots[0].nrows(), mean.covariance.nrows());
-    Ok(MeanLaw::kenward_roger(mean, theta, &bent.view((first, first), (q, q)).into_owned()))
-}
-
-/// The tests, and the units that they form.
-fn forest(
-    state: &FinalState,
-    reductions: &Reductions,
-    border: &Border<'_>,
-    noise: Option<&VarianceSlopes>,
-) -> Option<Forest> {
-    let plain = |j: usize| {
-        let k = border.of_test(reductions, j)?;
-        Some(Leaf { k, slopes: Vec::new(), curvatures: Vec::new(), log_curvatures: Vec::new() })
-    };
-    let leaves: Option<Vec<Leaf>> = match noise {
-        None => (0..reductions.len()).map(plain).collect(),
-        Some(noise) => (0..reductions.len()).map(|j| noise.leaf(border, reductions, j)).collect(),
-    };
-    let grouping = state.problem.classes.units.as_ref().map(|units| Arc::clone(&units.grouping));
-    let numbers: Vec<usize> = match &grouping {
-        Some(grouping) => (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect::<Option<_>>()?,
-        None => Vec::new(),
-    };
-    Some(Forest::of(leaves?, grouping.as_deref().map(|grouping| (grouping, &numbers[..]))))
-}
-
-/// F of each level, p × p.
-fn roots(state: &FinalState, p: usize) -> Vec<DMatrix<f64>> {
-    let (root, scale) = (&state.newton_iterate.point.root, &state.problem.classes.frame.scale);
-    let levels = root.nrows() / p.max(1);
-    let of = |level: usize| {
-        let start = level * p;
-        DMatrix::from_fn(p, root.ncols(), |i, c| root[(start + i, c)] * scale[start + i] / scale[i])
-    };
-    (0..levels).map(of).collect()
-}
-
-/// Multiplications of all passes, roughly.
-fn multiplications(forest: &Forest, theta: &Theta) -> f64 {
-    let (width, n) = (forest.width() as f64, theta.len() as f64);
-    forest.evaluations() as f64 * n * width * width * (4.0 * width + n)
 }

@@ -9,13 +9,21 @@ const MANY: usize = 50;
 /// one to four states.
 const COVERAGE: [(f64, f64); 6] = [(5.0, 85.0), (8.0, 88.0), (12.0, 91.0), (20.0, 93.0), (40.0, 94.0), (50.0, 94.0)];
 
-/// Degrees of freedom as they stand beside a standard error: ` (df 17.0)`; nothing where there are none.
+/// Degrees of freedom in a table: `17.0`; nothing where there are none.
+pub(crate) fn freedom(df: Option<f64>) -> String {
+    df.map_or_else(String::new, |df| if df < 1e4 { format!("{df:.1}") } else { "> 10000".to_owned() })
+}
+
+/// Degrees of freedom as they stand beside a standard error: ` (df 17.0)`.
 pub(crate) fn beside(df: Option<f64>) -> String {
-    df.map_or_else(String::new, |df| if df < 1e4 { format!(" (df {df:.1})") } else { " (df above 10000)".to_owned() })
+    df.map_or_else(String::new, |df| format!(" (df {})", freedom(Some(df))))
 }
 
 /// What is said below the table of means.
 pub(crate) fn items(record: &FitRecord, phase: &PhaseRecord) -> Vec<String> {
+    if record.phases.first().is_some_and(|first| first.name != phase.name) {
+        return Vec::new(); // it was said of the first phase
+    }
     let method = match record.df_method.as_deref() {
         Some("kenward-roger") => "standard errors and degrees of freedom by Kenward and Roger.",
         Some("satterthwaite") => "degrees of freedom by Satterthwaite.",

@@ -44,8 +44,11 @@ pub(crate) fn section(
         TextColumn::new("", ColumnSide::Left, std_dev_error),
     ];
     if record.df_method.is_some() {
+        let df = |i: usize| phase.mean.few_tests.df.get(i).copied().flatten();
+        columns
+            .insert(4, TextColumn::new("df", ColumnSide::Right, (0..p).map(|i| few_tests::freedom(df(i))).collect()));
         let intervals = (0..p).map(|i| interval(phase, i)).collect();
-        columns.insert(4, TextColumn::new("95 % interval", ColumnSide::Left, intervals));
+        columns.insert(5, TextColumn::new("95 % interval", ColumnSide::Left, intervals));
     }
     let what = match places::innermost(record) {
         Some(unit) => format!("Initial state: mean, and spread within one {unit}"),
@@ -72,10 +75,9 @@ pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> FigureCells {
     let Some(&estimate) = phase.mean.estimate.get(i) else { return Default::default() };
     let fixed = phase.mean.fixed.get(i).copied().unwrap_or(false);
     let error = phase.mean.std_error.get(i).copied().flatten();
-    let (figure, error) = cells(estimate, error, fixed, &|| {
+    cells(estimate, error, fixed, &|| {
         touches(&phase.unidentified, "mean", &phase.states, &|e| e == phase.states[i]).then_some("not identified")
-    });
-    (figure, error + &few_tests::beside(phase.mean.few_tests.df.get(i).copied().flatten()))
+    })
 }
 
 pub(crate) fn std_dev(phase: &PhaseRecord, i: usize) -> FigureCells {

@@ -188,6 +188,7 @@ fn two_free_variances_of_noise_are_those_of_the_joint_gaussian() {
         added += (square - &m[a] * &c * &m[b]) * law[(a, b)];
     }
     let adjusted = &c + &c * added * &c * 2.0;
+    assert_eq!(fit.record.df_method.as_deref(), Some("kenward-roger"));
     for i in 0..2 {
         let g = DVector::from_fn(5, |a, _| -(&c * &m[a] * &c)[(i, i)]);
         let found = test_of(&fit, i);

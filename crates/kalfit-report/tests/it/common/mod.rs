@@ -45,6 +45,7 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
 
 pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
     FitRecord {
+        df_method: None,
         schema: "kalfit-fit/1".into(),
         kalfit_version: "0.1.0".into(),
         title: title.into(),
@@ -222,6 +223,7 @@ pub(crate) fn constrained() -> FitRecord {
     main.std_dev.std_error[2] = None;
     main.mean.scale = Some(ScaleRecord { estimate: 1.0213, std_error: Some(0.0345), interval95: None });
     main.mean.regression.push(RegressionRecord {
+        few_tests: MeanTestRecord::default(),
         state: "bias".into(),
         column: "temperature".into(),
         estimate: 0.01234,
