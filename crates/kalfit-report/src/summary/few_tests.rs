@@ -56,7 +56,7 @@ fn unrestricted(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
         Some(percent) => format!("about {percent:.0} %"),
         None => "less than 85 %".to_owned(),
     };
-    Some(format!("With {count} {what} the 95 % intervals of means hold {often} of the time; use --criterion reml."))
+    Some(format!("With {count} {what} these intervals of means hold {often} of the time; use --criterion reml."))
 }
 
 /// Percent of the time, between the figures that were simulated; `None` below them.
