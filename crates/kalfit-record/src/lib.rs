@@ -61,8 +61,8 @@ pub use number::plain;
 pub use own::OwnRecord;
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{
-    BoundaryRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,
-    MatrixRecord, MeanRecord, MeanTestRecord, MeanTestRecords, ObservabilityRecord, PhaseRecord, RegressionRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord,
+    InformationRecord, MatrixRecord, MeanLawRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord,
     ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};

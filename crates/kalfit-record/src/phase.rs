@@ -103,7 +103,7 @@ pub struct MeanRecord {
     pub interval95: Vec<Interval>,
     /// Tests with few tests, under `reml`; empty where there are no degrees of freedom.
     #[serde(flatten)]
-    pub few_tests: MeanTestRecords,
+    pub few_tests: MeanLawRecord,
     /// Whether each element is fixed, not estimated.
     pub fixed: Vec<bool>,
     /// α_μ of a proportional mean.
@@ -115,7 +115,7 @@ pub struct MeanRecord {
 /// What is known of means with few tests (`df_method` says how), one entry for each element of μ; null where fixed or not
 /// identified. `std_error` and `interval95` are then by the same method.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct MeanTestRecords {
+pub struct MeanLawRecord {
     /// Standard errors of generalised least squares at the estimated covariance, which few tests make too small.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub std_error_plain: Vec<Option<f64>>,
@@ -135,7 +135,7 @@ pub struct MeanTestRecords {
 
 /// What is known of a regression coefficient with few tests, as for means.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct MeanTestRecord {
+pub struct CoefficientLawRecord {
     /// Standard error of generalised least squares at the estimated covariance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std_error_plain: Option<f64>,
@@ -181,7 +181,7 @@ pub struct RegressionRecord {
     pub interval95: Interval,
     /// Its test with few tests, under `reml`.
     #[serde(flatten)]
-    pub few_tests: MeanTestRecord,
+    pub few_tests: CoefficientLawRecord,
 }
 
 /// Σ with its uncertainty.

@@ -4,9 +4,9 @@ use nalgebra::DMatrix;
 
 use crate::cut::{BlockCut, phases_of};
 use crate::{
-    BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, LevelRecord,
-    MatrixRecord, MeanRecord, MeanTestRecord, MeanTestRecords, ObservabilityRecord, PhaseRecord, RegressionRecord,
-    ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord,
+    InformationRecord, LevelRecord, MatrixRecord, MeanLawRecord, MeanRecord, ObservabilityRecord, PhaseRecord,
+    RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 use kalfit_algebra::elements::Element;
 use kalfit_apply::plan::Quantity;
@@ -199,13 +199,13 @@ fn mean(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanR
 }
 
 /// Tests of the means of a phase with few tests; empty for a level of groups, whose mean is zero.
-fn few_tests(cut: &BlockCut<'_>, inference: &Inference) -> MeanTestRecords {
+fn few_tests(cut: &BlockCut<'_>, inference: &Inference) -> MeanLawRecord {
     let Some(Ok(found)) = inference.few_tests.as_ref().filter(|_| cut.level.is_none()) else {
-        return MeanTestRecords::default();
+        return MeanLawRecord::default();
     };
     let list =
         |of: &dyn Fn(&MeanTest) -> Option<f64>| cut.list(&found.mean).iter().map(|own| of(own.as_ref()?)).collect();
-    MeanTestRecords {
+    MeanLawRecord {
         std_error_plain: list(&|own| Some(own.std_error_plain)),
         df: list(&|own| own.df),
         df_face: list(&|own| own.df_face),
@@ -214,10 +214,12 @@ fn few_tests(cut: &BlockCut<'_>, inference: &Inference) -> MeanTestRecords {
     }
 }
 
-fn few_tests_of_coefficient(inference: &Inference, c: usize) -> MeanTestRecord {
+fn few_tests_of_coefficient(inference: &Inference, c: usize) -> CoefficientLawRecord {
     let found = inference.few_tests.as_ref().and_then(|found| found.as_ref().ok());
-    let Some(own) = found.and_then(|found| found.coefficients[c].as_ref()) else { return MeanTestRecord::default() };
-    MeanTestRecord {
+    let Some(own) = found.and_then(|found| found.coefficients[c].as_ref()) else {
+        return CoefficientLawRecord::default();
+    };
+    CoefficientLawRecord {
         std_error_plain: Some(own.std_error_plain),
         df: own.df,
         df_face: own.df_face,

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::figure::figures;
 use crate::{
-    BoundaryRecord, CovarianceRecord, FigureUnit, FitRecord, LevelRecord, MatrixRecord, MeanTestRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FigureUnit, FitRecord, LevelRecord, MatrixRecord,
     ParameterRecord, PhaseRecord, ScaleRecord, UnidentifiedRecord, VectorRecord,
 };
 use kalfit_infer::Interval;
@@ -172,7 +172,7 @@ impl QuantityOwner<'_> {
                 ValueErrors { estimate: Some(one.estimate), std_error: one.std_error, interval95: one.interval95 };
             let status = status(value, false, is_open(&phase.unidentified, "mean", &moved));
             let row = self.row("regression", &[&one.state, &one.column], value, status);
-            let MeanTestRecord { df, statistic, p_value, .. } = one.few_tests;
+            let CoefficientLawRecord { df, statistic, p_value, .. } = one.few_tests;
             let column = Some(one.column.clone());
             all.push(QuantityRecord { other_state: None, column, df, statistic, p_value, ..row });
         }
