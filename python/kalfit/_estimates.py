@@ -46,6 +46,12 @@ class Estimate:
     interval95: tuple[float | None, float | None]
     #: ``estimated``, ``fixed``, ``at zero``, ``on the boundary``, ``not identified`` and more.
     status: str
+    #: Degrees of freedom of a mean or regression coefficient with few tests, under ``reml``; None of others.
+    df: float | None = None
+    #: t of a mean or regression coefficient with few tests.
+    statistic: float | None = None
+    #: Two-sided p-value of the hypothesis that this mean or coefficient is zero.
+    p_value: float | None = None
 
 
 class Parameters(Sequence[Parameter]):
@@ -90,6 +96,9 @@ def estimate_of(row: dict[str, Any]) -> Estimate:
         std_error=number(row["std_error"]),
         interval95=(number(row["lower"]), number(row["upper"])),
         status=row["status"],
+        df=number(row.get("df")),
+        statistic=number(row.get("statistic")),
+        p_value=number(row.get("p_value")),
     )
 
 

@@ -76,7 +76,8 @@ class Fit(FitRecord):
 
     def tidy(self) -> Table:
         """Every estimate as a table, a row for each number: ``name``, ``kind``, ``phase``, ``level``, ``state``, ``other_state``,
-        ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), and ``status``. For a data frame:
+        ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), ``status``, and of means with few
+        tests (``reml``) ``df``, ``statistic`` and ``p_value``. For a data frame:
         ``fit.tidy().to_polars()`` or ``.to_pandas()``.
         """
         return Table(self._results.table("parameters"))
@@ -122,12 +123,13 @@ class Fit(FitRecord):
     def parameters_frame(self) -> Any:
         """All estimates as a ``pandas.DataFrame`` with a row for each number, as ``kalfit fit --parameters`` writes them: ``name``,
         ``kind`` (``mean``, ``regression``, ``std_dev``, ``covariance``, ``correlation``, ``parameter`` and more), ``phase``, ``level``,
-        ``state``, ``other_state``, ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), and ``status``:
-        ``estimated``, ``fixed``, ``at zero``, ``not identified`` and more. This takes pandas.
+        ``state``, ``other_state``, ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), ``status``:
+        ``estimated``, ``fixed``, ``at zero``, ``not identified`` and more, and ``df``, ``statistic`` and ``p_value`` of means with
+        few tests. This takes pandas.
         """
         rows = json.loads(self._results.quantities())
         texts = ["name", "kind", "phase", "level", "state", "other_state", "column", "unit"]
-        return data_frame(rows, texts, ["estimate", "std_error", "lower", "upper"], ["status"])
+        return data_frame(rows, texts, ["estimate", "std_error", "lower", "upper", "df", "statistic", "p_value"], ["status"])
 
     def constraints_frame(self) -> Any:
         """What each constraint costs as a ``pandas.DataFrame`` with a row for each constrained element, as ``kalfit fit --constraints``

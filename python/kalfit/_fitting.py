@@ -173,6 +173,7 @@ def fit(
     criterion: Literal["ml", "reml"] = "ml",
     phases: Literal["chain", "marginal", "stacked"] = "chain",
     intervals: Literal["wald", "profile"] = "wald",
+    df: Literal["kenward-roger", "satterthwaite", "none"] | None = None,
     std_errors: Literal["observed", "expected", "sandwich"] = "observed",
     deletion: Literal["auto", "all", "none"] = "auto",
     innovations: bool = True,
@@ -193,7 +194,8 @@ def fit(
     pyarrow, a path or a pattern of paths, or a list of these. The options are those of ``kalfit fit``, under the same names:
     ``set={"tau": 90}`` fixes a parameter, ``out`` names a file for the results, ``report`` one for the HTML report. Made here, the
     report shows the records too, where they have times; :meth:`Fit.report` makes it from the results alone. ``tests=False`` leaves
-    out all results of single tests, for millions of tests. ``progress=True`` writes a line to standard error; a function is called
+    out all results of single tests, for millions of tests. ``df`` goes with ``criterion="reml"``, where ``"kenward-roger"`` is the
+    default. ``progress=True`` writes a line to standard error; a function is called
     with a :class:`kalfit.Step` instead.
 
     The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
@@ -223,6 +225,7 @@ def fit(
         "criterion": criterion,
         "phases": phases,
         "intervals": intervals,
+        "df": df,
         "std_errors": std_errors,
         "deletion": deletion,
         "innovations": innovations,

@@ -92,6 +92,16 @@ class Phase(_Spread):
         """95 % intervals of the mean, shape (p, 2); ends that are not known are masked."""
         return ends(self._record["mean"], (len(self.states),))
 
+    @property
+    def mean_df(self) -> MaskedArray:
+        """Degrees of freedom of the mean with few tests, under ``reml``, shape (p,); all masked without."""
+        return masked_array(self._record["mean"].get("df") or [None] * len(self.states))
+
+    @property
+    def mean_p_value(self) -> MaskedArray:
+        """Two-sided p-values of each mean being zero, with few tests, shape (p,); all masked without."""
+        return masked_array(self._record["mean"].get("p_value") or [None] * len(self.states))
+
     def why_unknown(
         self, what: Literal["mean", "std_dev", "covariance", "correlation"], state: str, other: str | None = None
     ) -> str | None:

@@ -65,6 +65,9 @@ class RatioTest(_Record):
         self.degrees_of_freedom: int = record["df"]
         #: From the large-sample distribution; None where there is none. That of a bootstrap is in :meth:`to_dict`.
         self.p_value: float | None = record["p_value"]
+        #: The F test of a hypothesis on means, for few tests: a dictionary of ``value``, ``df_num``, ``df_den``, ``scale``,
+        #: ``p_value`` and ``method``; None of any other hypothesis.
+        self.f: dict[str, Any] | None = record.get("f")
         #: Whether both fits are certified.
         self.converged: bool = record["converged"]
 

@@ -74,6 +74,7 @@ def test_messages_name_arguments_as_python_does():
     cases = [
         (lambda: kalfit.reduce(free, rows), 'hint: give it: `set={"sigma": VALUE}`'),
         (lambda: kalfit.fit(*BENCH, criterion="reml", std_errors="sandwich"), '`std_errors="sandwich"` go with `criterion="ml"` only'),
+        (lambda: kalfit.fit(*BENCH, df="satterthwaite"), '`df="satterthwaite"` go with `criterion="reml"` only'),
         (lambda: kalfit.fit(*BENCH, phases="stacked"), '^`phases="stacked"` has no effect'),
     ]
     for call, words in cases:

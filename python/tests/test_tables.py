@@ -25,6 +25,17 @@ def test_tidy_is_what_the_command_writes(bench):
     assert rows.filter(rows["name"] == "noise_a")["status"].item() == "fixed"
 
 
+def test_means_with_few_tests_have_degrees_of_freedom():
+    few = kalfit.fit(*SLEEP, criterion="reml", innovations=False)
+    rows = few.tidy().to_polars()
+    mean = rows.filter(rows["name"] == "mean[slope]")
+    assert mean["df"].item() == few.estimates["mean[slope]"].df == few.phases[0].mean_df[1]
+    assert few.to_dict()["df_method"] == "kenward-roger" and abs(mean["df"].item() - 17) < 1e-4
+    assert few.estimates["std_dev[slope]"].df is None
+    other = kalfit.fit(*SLEEP, criterion="reml", df="none", innovations=False)
+    assert "df_method" not in other.to_dict() and other.phases[0].mean_df.mask.all()
+
+
 def test_glance_is_one_row_with_the_figures_of_the_fit(bench):
     row = bench.glance().to_polars().row(0, named=True)
     assert len(bench.glance()) == 1

@@ -7,7 +7,7 @@ use clap::{ArgAction, Args as Group, ColorChoice, Parser, Subcommand};
 use clap_complete::Shell;
 use kalfit::apply::StateKind;
 use kalfit::estimate::{Combination, Criterion, Solver};
-use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
+use kalfit::infer::{DeletionChoice, DfChoice, IntervalKind, StdErrors};
 use kalfit_job::words::{self, OptionWord};
 use kalfit_job::{ExportFormat, MethodChoice, PredictedUnits};
 use kalfit_report::{PlotKind, WIDTHS};
@@ -221,6 +221,10 @@ pub(crate) struct FitArgs {
     /// How 95 % intervals are computed
     #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::INTERVALS), default_value = words::INTERVALS[0].word)]
     pub(crate) intervals: IntervalKind,
+
+    /// How degrees of freedom of means are computed, with `--criterion reml` [default: kenward-roger]
+    #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::DF), value_name = "DF")]
+    pub(crate) df: Option<DfChoice>,
 
     /// How standard errors are computed
     #[arg(long, help_heading = INFERENCE, value_parser = one_of(words::STD_ERRORS), default_value = words::STD_ERRORS[0].word)]

@@ -184,6 +184,7 @@ impl From<FitArgs> for FitJob {
         let choices = Choices {
             std_errors: args.std_errors,
             intervals: args.intervals,
+            df: args.df.unwrap_or_default(),
             deletion: args.deletion,
             tests: if args.no_tests { TestsChoice::None } else { TestsChoice::Each },
         };

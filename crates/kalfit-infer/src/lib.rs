@@ -37,6 +37,7 @@ mod ratio;
 mod reason;
 mod room;
 mod score_test;
+mod small_sample;
 mod std_errors;
 
 pub use constraint::{Sensitivity, sensitivities};
@@ -62,6 +63,7 @@ pub use ratio::{
     Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,
 };
 pub use reason::{Explanation, Reason};
+pub use small_sample::{DfChoice, DfMethod, FewTests, JointTest, MeanTest, NoDf, NoJointTest, SmallSample};
 pub use std_errors::StdErrors;
 
 pub use constraint::{holds_any, is_held};
@@ -89,6 +91,8 @@ pub struct Choices {
     pub std_errors: StdErrors,
     /// Method of the intervals.
     pub intervals: IntervalKind,
+    /// Standard errors and degrees of freedom of means under the restricted likelihood.
+    pub df: DfChoice,
     /// Whether the fit is repeated without each test.
     pub deletion: DeletionChoice,
     /// Whether results of single tests are computed.
@@ -131,6 +135,8 @@ pub struct Inference {
     pub estimates: Option<EstimateCovariance>,
     /// 95 % intervals.
     pub intervals: Intervals,
+    /// Tests of means with few tests; `None` under maximum likelihood, or where none were asked for.
+    pub few_tests: Option<Result<FewTests, NoDf>>,
     /// Directions that the data do not determine.
     pub unidentified: Vec<Direction>,
     /// Why the data do not determine each of the unidentified directions.
@@ -174,6 +180,7 @@ fn with_ratios(
     progress: &SharedProgress<'_>,
 ) -> Inference {
     let mut inference = inferred(estimate, reductions, choices, progress);
+    inference.add_few_tests(SmallSample::of(estimate, reductions, choices.df));
     if freed::is_possible(estimate, reductions) {
         let maximum = |freed: &freed::Freed, _: f64, _: bool| match progress.stops() {
             true => None,
@@ -229,6 +236,7 @@ pub(crate) fn inferred(
         phases,
         intervals,
         uncertainty,
+        few_tests: None,
         estimates,
         sensitivities: sensitivities(estimate),
         posteriors,

@@ -235,6 +235,9 @@ pub enum Failure {
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]
     RestrictedErrors,
+    /// Degrees of freedom, which a criterion does not have.
+    #[error("`--df kenward-roger` and `--df satterthwaite` go with `--criterion reml` only")]
+    UnrestrictedDf,
     /// Numbers of groups of a level, more than once.
     #[error("numbers of groups of level `{level}` are given more than once")]
     GroupsTwice {
@@ -463,6 +466,9 @@ impl Failure {
             Failure::PlotOfModel => "give the file that `kalfit fit --out` wrote",
             Failure::RestrictedErrors => {
                 "leave `--std-errors` out: the restricted likelihood has those of its own curvature"
+            }
+            Failure::UnrestrictedDf => {
+                "add `--criterion reml`: degrees of freedom are those of the restricted likelihood, which is the one for few tests"
             }
             Failure::MoreThanDesign { .. } => {
                 "give a design with as many groups and tests as are wanted: new groups need names of their own"

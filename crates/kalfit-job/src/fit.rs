@@ -2,7 +2,7 @@
 
 use kalfit::estimate::Criterion;
 use kalfit::infer::misfit::FittedEnsemble;
-use kalfit::infer::{StdErrors, TestsChoice};
+use kalfit::infer::{DfChoice, StdErrors, TestsChoice};
 use kalfit::record::{ParameterRecord, TestGroups};
 use kalfit::{Alpha, FitRecord, PhasedTest};
 use kalfit_spec::Spec;
@@ -35,6 +35,11 @@ const NO_TESTS: &str = "what each test says was not asked for";
 pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
+    }
+    if job.settings.criterion == Criterion::Ml
+        && matches!(job.choices.df, DfChoice::KenwardRoger | DfChoice::Satterthwaite)
+    {
+        return Err(Failure::UnrestrictedDf);
     }
     let mut spec = model::load(&job.model, &job.data)?;
     memory::suffices(&spec)?;

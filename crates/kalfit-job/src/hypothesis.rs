@@ -33,6 +33,11 @@ pub(crate) fn with_parameters(model: &PhasedModel, null: &PhasedModel) -> Option
     (unstarted_parameters(model.shared()) != unstarted_parameters(null.shared())).then(|| each(model, &said))
 }
 
+/// Whether the hypothesis says nothing but of the mean.
+pub(crate) fn is_of_mean(model: &PhasedModel, null: &PhasedModel) -> bool {
+    with_mean(model, null).is_some() && with_covariance(model, null).is_none() && with_parameters(model, null).is_none()
+}
+
 /// A structure without start values, which constrain nothing.
 fn unstarted(mean: &MeanStructure) -> MeanStructure {
     MeanStructure { start: vec![None; mean.start.len()], ..mean.clone() }

@@ -2,14 +2,17 @@
 
 use std::sync::Arc;
 
-use kalfit::estimate::{Estimate, Progress, Structure};
-use kalfit::infer::{Bootstrap, NotNested, at_least, bootstrap_while, fit_null, likelihood_ratio};
+use kalfit::estimate::{Criterion, Estimate, Progress, Settings, Structure};
+use kalfit::infer::{
+    Bootstrap, DfChoice, JointTest, NoJointTest, NotNested, SmallSample, at_least, bootstrap_while, fit_null,
+    likelihood_ratio,
+};
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
 use kalfit::{Alpha, Grouping, PhasedModel, Reductions, estimate};
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::failure::Failure;
-use crate::hypothesis::{with_covariance, with_mean};
+use crate::hypothesis::{is_of_mean, with_covariance, with_mean};
 use crate::job::TestJob;
 use crate::work::JobWork;
 
@@ -39,7 +42,13 @@ pub(crate) fn test(
         }
     };
     let drawn = drawn.as_ref().map(|(asked, found)| (*asked, found));
-    Ok(RatioRecord::new(&spec.model, reductions, (&null, &wide), &ratio, drawn, parts, provenance))
+    let mut record = RatioRecord::new(&spec.model, reductions, (&null, &wide), &ratio, drawn, parts, provenance);
+    if is_of_mean(&spec.model, &hypothesis.model)
+        && let Some(found) = bench.f_test(&null, work)
+    {
+        record.add_f(found);
+    }
+    Ok(record)
 }
 
 /// Says how many ensembles are done; true if somebody waits for more.
@@ -67,6 +76,15 @@ impl KnownParameterTest<'_> {
         fit_null(self.reductions, &within, &structure, &self.job.settings, progress)
             .ok_or(Failure::NotNested(NotNested::Mean))?
             .map_err(Failure::Fit)
+    }
+
+    /// The F test of a hypothesis on means, by the restricted likelihood of the model; `None` without its maximum.
+    fn f_test(&self, null: &Estimate, progress: &mut dyn Progress) -> Option<Result<JointTest, NoJointTest>> {
+        let settings = Settings { criterion: Criterion::Reml, ..self.job.settings.clone() };
+        let structure = Structure::of(self.model, self.alpha, self.grouping);
+        let wide = estimate::fit(self.reductions, &structure, &settings, progress).ok()?;
+        let small = SmallSample::of(&wide, self.reductions, DfChoice::Auto)?.ok()?;
+        Some(small.f_test(&wide, null))
     }
 
     /// A hypothesis on both μ and Σ, each by itself (Shumway, Olsen and Levy).

@@ -6,7 +6,10 @@ use kalfit::dynamic::{
     self, DynamicFit, DynamicRatioError, Method, ParameterInference, Settings, dynamic_bootstrap_while, dynamic_ratio,
     started,
 };
-use kalfit::infer::{Choices, DeletionChoice, Inference, LikelihoodRatio, NotNested, restricted};
+use kalfit::estimate::{self, Criterion};
+use kalfit::infer::{
+    Choices, DeletionChoice, Inference, JointTest, LikelihoodRatio, NoJointTest, NotNested, restricted,
+};
 use kalfit::model::Slots;
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
 use kalfit::reduce::grouping;
@@ -17,7 +20,7 @@ use kalfit_spec::{Hypothesis, Spec};
 use crate::dynamic::{SearchData, failure};
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::hypothesis::{each, with_covariance, with_mean, with_parameters};
+use crate::hypothesis::{each, is_of_mean, with_covariance, with_mean, with_parameters};
 use crate::job::TestJob;
 use crate::work::JobWork;
 use crate::{known, reductions, tests};
@@ -78,7 +81,13 @@ pub(crate) fn test(
         alternative: parts_of(&wide, &reading.labels, &full, &inferred[1]),
     };
     let drawn = drawn.as_ref().map(|(asked, found)| (*asked, found));
-    Ok(RatioRecord::dynamic(&sides, &ratio, drawn, parts, provenance))
+    let mut record = RatioRecord::dynamic(&sides, &ratio, drawn, parts, provenance);
+    if is_of_mean(&wide, null)
+        && let Some(found) = bench.f_test(&narrow, work)
+    {
+        record.add_f(found);
+    }
+    Ok(record)
 }
 
 fn parts_of<'a>(
@@ -123,6 +132,14 @@ impl FreeParameterTest<'_> {
         let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
         let data = (&self.reading.labels, self.tests);
         dynamic::infer(model, data, fit, choices, work).map_err(|error| failure(error, self.reading))
+    }
+
+    /// The F test of a hypothesis on means, by the restricted likelihood of the model; `None` without its maximum.
+    fn f_test(&self, null: &DynamicFit, work: &mut JobWork<'_>) -> Option<Result<JointTest, NoJointTest>> {
+        let inner = estimate::Settings { criterion: Criterion::Reml, ..self.settings.inner.clone() };
+        let wide = self.fit_with(self.wide, &Settings { inner, ..self.settings.clone() }, work).ok()?;
+        let (inference, _) = self.infer(self.wide, &wide, work).ok()?;
+        Some(inference.few_tests?.ok()?.law.f_test(&wide.estimate, &null.estimate))
     }
 
     /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.

@@ -3,7 +3,7 @@
 use kalfit::apply::StateKind;
 use kalfit::dynamic::Method;
 use kalfit::estimate::{Combination, Criterion, Solver};
-use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
+use kalfit::infer::{DeletionChoice, DfChoice, IntervalKind, StdErrors};
 use kalfit_report::PlotKind;
 
 use crate::export::format::ExportFormat;
@@ -67,6 +67,13 @@ pub const INTERVALS: &[OptionWord<IntervalKind>] = &[
         IntervalKind::Profile,
         "From the profile likelihood: all values that a likelihood-ratio test at 5 % does not reject",
     ),
+];
+
+/// What degrees of freedom of means are made from.
+pub const DF: &[OptionWord<DfChoice>] = &[
+    word("kenward-roger", DfChoice::KenwardRoger, "Standard errors and degrees of freedom by Kenward and Roger"),
+    word("satterthwaite", DfChoice::Satterthwaite, "Degrees of freedom by Satterthwaite"),
+    word("none", DfChoice::None, "None: intervals as for many tests"),
 ];
 
 /// What standard errors are made from.

@@ -51,11 +51,12 @@ pub(crate) fn not_written(error: &OutputError) -> PyErr {
 }
 
 /// Options that messages name as on the command line, and their names in Python.
-const OPTIONS: [(&str, &str); 15] = [
+const OPTIONS: [(&str, &str); 16] = [
     ("as", "format"),
     ("at", "at"),
     ("by", "by"),
     ("criterion", "criterion"),
+    ("df", "df"),
     ("from", "source"),
     ("out", "out"),
     ("phase", "phase"),

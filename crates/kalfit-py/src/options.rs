@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Settings, Solver};
-use kalfit::infer::{Choices, TestsChoice};
+use kalfit::infer::{Choices, DfChoice, TestsChoice};
 use kalfit_job::words::{self, OptionWord};
 use kalfit_job::{Document, FitJob, ModelJob};
 use pyo3::exceptions::PyValueError;
@@ -39,6 +39,7 @@ pub(crate) struct FitOptions {
     criterion: String,
     phases: String,
     intervals: String,
+    df: Option<String>,
     std_errors: String,
     deletion: String,
     innovations: bool,
@@ -82,6 +83,7 @@ impl FitOptions {
         Ok(Choices {
             std_errors: pick("std_errors", &self.std_errors, words::STD_ERRORS)?,
             intervals: pick("intervals", &self.intervals, words::INTERVALS)?,
+            df: self.df.as_ref().map_or(Ok(DfChoice::Auto), |df| pick("df", df, words::DF))?,
             deletion: pick("deletion", &self.deletion, words::DELETIONS)?,
             tests: if self.tests { TestsChoice::Each } else { TestsChoice::None },
         })

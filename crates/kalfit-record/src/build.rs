@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use crate::cut::{BlockCut, phases_of};
 use crate::diagnosis::shortage_notes;
 use crate::directions::crossing_notes;
+use crate::few_tests;
 use crate::number::plain;
 use crate::own::{MOST_SINGLE_ESTIMATES, TestEstimate};
 use crate::phases::phases_and_levels;
@@ -94,6 +95,7 @@ impl FitRecord {
             solver: solver(estimate, provenance.seconds),
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
+            df_method: few_tests::method(inference).map(str::to_owned),
             phases,
             levels,
             groups: Vec::new(),
@@ -327,6 +329,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
             ));
         }
     }
+    notes.extend(few_tests::notes(model, estimate, inference));
     let without = inference.intervals.unprofiled;
     if without > 0 {
         let come = if without == 1 { "interval comes" } else { "intervals come" };

@@ -13,6 +13,7 @@ mod dynamic;
 mod dynamic_ratio;
 mod estimates;
 mod exported;
+mod few_tests;
 mod figure;
 mod group_levels;
 mod levels;
@@ -61,16 +62,16 @@ pub use number::plain;
 pub use own::OwnRecord;
 pub use parameters::{MethodRecord, ParameterRecord, StartRecord};
 pub use phase::{
-    BoundaryRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,
-    MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
-    VectorRecord, WeakRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, EnteredRecord, FilterRecord, InformationLostRecord,
+    InformationRecord, MatrixRecord, MeanLawRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord,
+    ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use posteriors::PosteriorRecords;
 pub use predicted::{PairRecord, PredictedRecord, PredictedSource, PredictedValueRecord, name_of};
 pub use quantities::QuantityRecord;
-pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
+pub use ratio::{BootstrapRecord, ComponentRecord, FRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
 pub use search::{SearchRecord, StageRecord};
 pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
 pub use series_keeper::SeriesKeeper;
@@ -137,6 +138,10 @@ pub struct FitRecord {
     /// How 95 % intervals were computed: `wald` or `profile`.
     #[serde(default)]
     pub intervals: String,
+    /// How standard errors, degrees of freedom and intervals of means and regression coefficients were computed under
+    /// `reml`: `kenward-roger` or `satterthwaite`; absent where they are those of many tests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub df_method: Option<String>,
     /// One entry per phase.
     pub phases: Vec<PhaseRecord>,
     /// The variation between groups of each level, the outermost level first, and last that between tests; empty

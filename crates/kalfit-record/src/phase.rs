@@ -101,12 +101,56 @@ pub struct MeanRecord {
     /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Interval>,
+    /// Tests with few tests, under `reml`; empty where there are no degrees of freedom.
+    #[serde(flatten)]
+    pub few_tests: MeanLawRecord,
     /// Whether each element is fixed, not estimated.
     pub fixed: Vec<bool>,
     /// α_μ of a proportional mean.
     pub scale: Option<ScaleRecord>,
     /// Regression coefficients.
     pub regression: Vec<RegressionRecord>,
+}
+
+/// What is known of means with few tests (`df_method` says how), one entry for each element of μ; null where fixed or not
+/// identified. `std_error` and `interval95` are then by the same method.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct MeanLawRecord {
+    /// Standard errors of generalised least squares at the estimated covariance, which few tests make too small.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub std_error_plain: Vec<Option<f64>>,
+    /// Degrees of freedom; null too where no covariance is estimated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub df: Vec<Option<f64>>,
+    /// Degrees of freedom by Satterthwaite among covariances of the estimated rank, as lmerTest has them: for comparison.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub df_face: Vec<Option<f64>>,
+    /// t: estimate over `std_error`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub statistic: Vec<Option<f64>>,
+    /// Two-sided p-value of the hypothesis that the mean is zero.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub p_value: Vec<Option<f64>>,
+}
+
+/// What is known of a regression coefficient with few tests, as for means.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CoefficientLawRecord {
+    /// Standard error of generalised least squares at the estimated covariance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub std_error_plain: Option<f64>,
+    /// Degrees of freedom.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub df: Option<f64>,
+    /// Degrees of freedom by Satterthwaite among covariances of the estimated rank.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub df_face: Option<f64>,
+    /// t: estimate over `std_error`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub statistic: Option<f64>,
+    /// Two-sided p-value of the hypothesis that the coefficient is zero.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub p_value: Option<f64>,
 }
 
 /// A scale factor.
@@ -135,6 +179,9 @@ pub struct RegressionRecord {
     /// 95 % interval.
     #[serde(default)]
     pub interval95: Interval,
+    /// Its test with few tests, under `reml`.
+    #[serde(flatten)]
+    pub few_tests: CoefficientLawRecord,
 }
 
 /// Σ with its uncertainty.

@@ -4,9 +4,9 @@ use nalgebra::DMatrix;
 
 use crate::cut::{BlockCut, phases_of};
 use crate::{
-    BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, LevelRecord,
-    MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord,
-    VectorRecord, WeakRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord,
+    InformationRecord, LevelRecord, MatrixRecord, MeanLawRecord, MeanRecord, ObservabilityRecord, PhaseRecord,
+    RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 use kalfit_algebra::elements::Element;
 use kalfit_apply::plan::Quantity;
@@ -14,7 +14,7 @@ use kalfit_apply::plan::{InformationLost, StdErrorRatio};
 use kalfit_estimate::Estimate;
 use kalfit_filter::reduce::Reductions;
 use kalfit_infer::Interval;
-use kalfit_infer::{Boundary, Inference};
+use kalfit_infer::{Boundary, Inference, MeanTest};
 use kalfit_model::{CovarianceKind, MeanElement, MeanStructure, PhasedModel, Regression};
 
 /// Name of the level of the tests themselves.
@@ -181,6 +181,7 @@ fn mean(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanR
         estimate: estimate.coefficients[c],
         std_error: inference.uncertainty.errors.coefficients[c],
         interval95: inference.intervals.ends.coefficients[c],
+        few_tests: few_tests_of_coefficient(inference, c),
     };
     MeanRecord {
         fixed: structure.elements.iter().map(|e| matches!(e, MeanElement::Fixed(_))).collect(),
@@ -193,6 +194,37 @@ fn mean(cut: &BlockCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanR
         estimate: estimates,
         std_error: errors,
         interval95: intervals,
+        few_tests: few_tests(cut, inference),
+    }
+}
+
+/// Tests of the means of a phase with few tests; empty for a level of groups, whose mean is zero.
+fn few_tests(cut: &BlockCut<'_>, inference: &Inference) -> MeanLawRecord {
+    let Some(Ok(found)) = inference.few_tests.as_ref().filter(|_| cut.level.is_none()) else {
+        return MeanLawRecord::default();
+    };
+    let list =
+        |of: &dyn Fn(&MeanTest) -> Option<f64>| cut.list(&found.mean).iter().map(|own| of(own.as_ref()?)).collect();
+    MeanLawRecord {
+        std_error_plain: list(&|own| Some(own.std_error_plain)),
+        df: list(&|own| own.df),
+        df_face: list(&|own| own.df_face),
+        statistic: list(&|own| Some(own.statistic)),
+        p_value: list(&|own| Some(own.p_value)),
+    }
+}
+
+fn few_tests_of_coefficient(inference: &Inference, c: usize) -> CoefficientLawRecord {
+    let found = inference.few_tests.as_ref().and_then(|found| found.as_ref().ok());
+    let Some(own) = found.and_then(|found| found.coefficients[c].as_ref()) else {
+        return CoefficientLawRecord::default();
+    };
+    CoefficientLawRecord {
+        std_error_plain: Some(own.std_error_plain),
+        df: own.df,
+        df_face: own.df_face,
+        statistic: Some(own.statistic),
+        p_value: Some(own.p_value),
     }
 }
 

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::figure::figures;
 use crate::{
-    BoundaryRecord, CovarianceRecord, FigureUnit, FitRecord, LevelRecord, MatrixRecord, ParameterRecord, PhaseRecord,
-    ScaleRecord, UnidentifiedRecord, VectorRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FigureUnit, FitRecord, LevelRecord, MatrixRecord,
+    ParameterRecord, PhaseRecord, ScaleRecord, UnidentifiedRecord, VectorRecord,
 };
 use kalfit_infer::Interval;
 
@@ -41,6 +41,15 @@ figures! {
         pub lower: Option<f64> = figure { unit: FigureUnit::Element },
         /// Upper end of its 95 % interval.
         pub upper: Option<f64> = figure { unit: FigureUnit::Element },
+        /// Degrees of freedom of a mean or regression coefficient with few tests, under `reml`.
+        #[serde(default)]
+        pub df: Option<f64> = figure {},
+        /// t of a mean or regression coefficient with few tests: estimate over standard error.
+        #[serde(default)]
+        pub statistic: Option<f64> = figure {},
+        /// Two-sided p-value of the hypothesis that this mean or coefficient is zero.
+        #[serde(default)]
+        pub p_value: Option<f64> = figure {},
         /// `estimated`, `fixed`, `at zero`, `on the boundary`, `not identified`, `undefined`; of a parameter also `at
         /// lower bound`, `at upper bound`, `at the edge`, `unbounded` and `without effect`.
         pub status: String = figure {},
@@ -134,6 +143,9 @@ impl QuantityOwner<'_> {
             lower,
             upper,
             status: status.to_owned(),
+            df: None,
+            statistic: None,
+            p_value: None,
         }
     }
 
@@ -148,7 +160,11 @@ impl QuantityOwner<'_> {
             let fixed = mean.fixed.get(i).copied().unwrap_or_default();
             let moved = |element: &str| element == state;
             let status = status(value, fixed, is_open(&phase.unidentified, "mean", &moved));
-            all.push(QuantityRecord { unit: self.unit(i), ..self.row("mean", &[state], value, status) });
+            let few = &mean.few_tests;
+            let of = |list: &Vec<Option<f64>>| list.get(i).copied().flatten();
+            let (df, statistic, p_value) = (of(&few.df), of(&few.statistic), of(&few.p_value));
+            let row = self.row("mean", &[state], value, status);
+            all.push(QuantityRecord { unit: self.unit(i), df, statistic, p_value, ..row });
         }
         for one in &mean.regression {
             let moved = |element: &str| element == format!("{} per {}", one.state, one.column);
@@ -156,7 +172,9 @@ impl QuantityOwner<'_> {
                 ValueErrors { estimate: Some(one.estimate), std_error: one.std_error, interval95: one.interval95 };
             let status = status(value, false, is_open(&phase.unidentified, "mean", &moved));
             let row = self.row("regression", &[&one.state, &one.column], value, status);
-            all.push(QuantityRecord { other_state: None, column: Some(one.column.clone()), ..row });
+            let CoefficientLawRecord { df, statistic, p_value, .. } = one.few_tests;
+            let column = Some(one.column.clone());
+            all.push(QuantityRecord { other_state: None, column, df, statistic, p_value, ..row });
         }
         self.scale("mean_scale", mean.scale.as_ref(), all);
     }
@@ -287,5 +305,8 @@ fn parameter(own: &ParameterRecord) -> QuantityRecord {
         lower,
         upper,
         status: status.to_owned(),
+        df: None,
+        statistic: None,
+        p_value: None,
     }
 }

@@ -2,11 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::few_tests;
 use crate::square::rows;
 use crate::{DataRecord, ParameterRecord};
 use kalfit_estimate::{Estimate, Stop};
 use kalfit_filter::reduce::Reductions;
-use kalfit_infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
+use kalfit_infer::{Bootstrap, BootstrapResult, Component, JointTest, LikelihoodRatio, NoJointTest};
 use kalfit_model::PhasedModel;
 
 /// All results of the test of a hypothesis.
@@ -34,6 +35,9 @@ pub struct RatioRecord {
     pub converged: bool,
     /// -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis).
     pub lr: f64,
+    /// The F test by the restricted likelihood, of a hypothesis on means alone; absent where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub f: Option<FRecord>,
     /// Identified free quantities that the hypothesis takes away.
     pub df: usize,
     /// Tail probability of `lr` under `law`.
@@ -55,6 +59,23 @@ pub struct RatioRecord {
     pub parts: Vec<PartRecord>,
     /// Findings in plain words, most important first.
     pub notes: Vec<String>,
+}
+
+/// An F test of means, for few tests.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FRecord {
+    /// F, with the scale.
+    pub value: f64,
+    /// Number of combinations of means that the hypothesis fixes.
+    pub df_num: usize,
+    /// Degrees of freedom of the denominator; null where no covariance is estimated.
+    pub df_den: Option<f64>,
+    /// Scale by Kenward and Roger, which F contains.
+    pub scale: f64,
+    /// Tail probability of `value`.
+    pub p_value: f64,
+    /// `kenward-roger` or `satterthwaite`.
+    pub method: String,
 }
 
 /// One of the two fits.
@@ -176,6 +197,7 @@ impl RatioRecord {
             data: DataRecord::of(reductions, provenance.files),
             converged: null.converged && alternative.converged,
             lr: ratio.statistic,
+            f: None,
             df: ratio.degrees_of_freedom,
             p_value: ratio.p_value(),
             p_chi2_df: ratio.chi_squared_p_value(),
@@ -188,6 +210,25 @@ impl RatioRecord {
             parts,
             null,
             alternative,
+        }
+    }
+}
+
+impl RatioRecord {
+    /// Adds the F test of means, or why there is none.
+    pub fn add_f(&mut self, found: Result<JointTest, NoJointTest>) {
+        match found {
+            Ok(JointTest { value, df_num, df_den, scale, p_value, method }) => {
+                let method = few_tests::name(method).to_owned();
+                self.f = Some(FRecord { value, df_num, df_den, scale, p_value, method });
+            }
+            Err(NoJointTest::TooFew) => {
+                self.notes.push("there is no F test: too few tests for a joint test".to_owned())
+            }
+            Err(NoJointTest::Unidentified | NoJointTest::Dependent) => {
+                self.notes
+                    .push("there is no F test: the tests do not determine the variance of these means".to_owned());
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 //! A likelihood-ratio test in words and tables.
 
-use kalfit::record::{BootstrapRecord, ParameterRecord, RatioRecord, SideRecord};
+use kalfit::record::{BootstrapRecord, FRecord, ParameterRecord, RatioRecord, SideRecord};
 
 use crate::TextStyle;
 use crate::number::{hundredths, p_value, plain, probability};
@@ -100,6 +100,9 @@ fn laws(record: &RatioRecord, page: &PageLayout<'_>) -> String {
         }
         rows.push((format!("χ²({}), which ignores the boundary", record.df), record.p_chi2_df));
     }
+    if let Some(f) = &record.f {
+        rows.push((of_means(f), f.p_value));
+    }
     if let Some(bootstrap) = &record.bootstrap {
         rows.push((drawn(bootstrap), bootstrap.p_value.unwrap_or(f64::NAN)));
     }
@@ -111,6 +114,13 @@ fn laws(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     let mut body = page.table(&columns);
     body += &page.items(&record.bootstrap.as_ref().map_or_else(Vec::new, remarks));
     page.section(&heading, &body)
+}
+
+/// `F(2, 4.88) = 204.6, Kenward and Roger, restricted likelihood`.
+fn of_means(f: &FRecord) -> String {
+    let by = if f.method == "kenward-roger" { "Kenward and Roger" } else { "Satterthwaite" };
+    let den = f.df_den.map_or_else(|| "∞".to_owned(), |df| plain(df, 3));
+    format!("F({}, {den}) = {} by {by}, for few tests", f.df_num, plain(f.value, 4))
 }
 
 /// `0.5 chi2_0; 0.5 chi2_1` as other laws are written.

@@ -194,6 +194,15 @@ fn version_and_help() {
               
               [default: wald]
 
+          --df <DF>
+              How degrees of freedom of means are computed, with `--criterion reml` [default:
+              kenward-roger]
+
+              Possible values:
+              - kenward-roger: Standard errors and degrees of freedom by Kenward and Roger
+              - satterthwaite: Degrees of freedom by Satterthwaite
+              - none:          None: intervals as for many tests
+
           --std-errors <STD_ERRORS>
               How standard errors are computed
 

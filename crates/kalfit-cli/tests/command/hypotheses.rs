@@ -60,8 +60,10 @@ fn a_mean_is_tested_against_chi_squared() {
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 1.52941
-      reference distribution  p-value
-      χ²(1)                      0.22
+      reference distribution                p-value
+      χ²(1)                                    0.22
+      F(1, 5.89) = 0.9642 by Kenward and       0.36
+      Roger, for few tests
 
     Notes
       With 13 tests the large-sample distribution is a rough guide, and its p-values
@@ -148,8 +150,10 @@ fn a_hypothesis_without_a_regression_is_within_the_model() {
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 9.95882
-      reference distribution  p-value
-      χ²(1)                     0.002
+      reference distribution                p-value
+      χ²(1)                                   0.002
+      F(1, 6.5) = 15.34 by Kenward and        0.007
+      Roger, for few tests
 
     Notes
       With 13 tests the large-sample distribution is a rough guide, and its p-values
@@ -271,8 +275,10 @@ fn a_set_parameter_is_set_on_both_sides() {
       model            84.307711     4  -160.62        yes
 
     -2 log λ = 5.01582
-      reference distribution  p-value
-      χ²(1)                      0.03
+      reference distribution                p-value
+      χ²(1)                                    0.03
+      F(1, 5.12) = 6.522 by Kenward and        0.05
+      Roger, for few tests
 
     Notes
       With 6 tests the large-sample distribution is a rough guide, and its p-values

@@ -86,5 +86,5 @@ fn a_mean_follows_a_parameter_under_the_restricted_likelihood() {
     let variance = covariance(a, a) + 2.0 * AT * covariance(a, b) + AT * AT * covariance(b, b);
     near::mixed("standard error of a + b x", variance.sqrt(), error, 1e-5);
     let of_mean = record.phases[0].mean.std_error[0].expect("it has one");
-    near::mixed("standard error of a", of_mean, covariance(a, a).sqrt(), 1e-9);
+    near::mixed("standard error of a", of_mean, covariance(a, a).sqrt(), 1e-5); // derivatives by b are differences
 }

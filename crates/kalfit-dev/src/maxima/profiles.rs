@@ -4,7 +4,7 @@
 use kalfit::Labels;
 use kalfit::dynamic::{self, DynamicFit};
 use kalfit::estimate::{Silent, Stop};
-use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use kalfit::infer::{Choices, DeletionChoice, DfChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit::model::{Expression, Value};
 use rand_chacha::ChaCha8Rng;
 
@@ -38,6 +38,7 @@ pub(super) fn ends(drawn: &DrawnModel, seed: u64, random: &mut ChaCha8Rng) -> In
     let choices = Choices {
         std_errors: StdErrors::Observed,
         intervals: IntervalKind::Profile,
+        df: DfChoice::None,
         deletion: DeletionChoice::None,
         tests: TestsChoice::None,
     };

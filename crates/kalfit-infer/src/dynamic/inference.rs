@@ -4,6 +4,7 @@ use crate::dynamic::mixed::mixed;
 use crate::dynamic::{expected, interval, law, profile, sandwich, started};
 use crate::freed::{self, Freed};
 use crate::score_test::p_value;
+use crate::small_sample::{self, DfChoice, SmallSample};
 use crate::{Choices, Inference, IntervalKind, QUANTILE, SharedProgress, StdErrors};
 use crate::{Sensitivity, holds_any, inferred, sensitivities};
 use kalfit_estimate::{Criterion, Estimate, Progress, Silent, Stop};
@@ -63,6 +64,11 @@ pub fn infer(
             (inference, parameter_inferences(model, fit, &observed))
         }
     };
+    if choices.df != DfChoice::None && !ml {
+        let errors: Vec<Option<f64>> = observed.alpha.iter().map(|variance| variance.map(f64::sqrt)).collect();
+        let noise = || small_sample::slopes(&objective, fit, &errors, progress);
+        inference.add_few_tests(SmallSample::with_parameters(&estimate, &fit.reductions, choices.df, &noise));
+    }
     inference.sensitivities = constraints(&objective, fit, (&estimate, labels), progress)?;
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
         let from_errors = (inference.intervals.clone(), parameters.clone());

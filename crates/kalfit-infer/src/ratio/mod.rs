@@ -10,6 +10,7 @@ pub(crate) use bootstrap::replicates;
 pub use bootstrap::{Bootstrap, BootstrapResult, GoesOn, bootstrap, bootstrap_while};
 pub use law::{Component, ReferenceLaw};
 pub use nested::NotNested;
+pub(crate) use nested::regressions;
 pub use restricted::{NotNestedParameter, Restricted, restricted};
 
 use kalfit_estimate::{Estimate, FitError, Progress, Settings, Silent, Structure, fit, fit_from};

@@ -59,7 +59,7 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
 
 /// Index of each regression of `inner` among the regressions of `outer`; `None` when `outer` lacks a regression of
 /// `inner`.
-pub(super) fn regressions(inner: &Structure<'_>, outer: &Structure<'_>) -> Option<Vec<usize>> {
+pub(crate) fn regressions(inner: &Structure<'_>, outer: &Structure<'_>) -> Option<Vec<usize>> {
     let outer = outer.regressions();
     inner.regressions().iter().map(|r| outer.iter().position(|o| o == r)).collect()
 }

@@ -5,6 +5,7 @@ use maud::{Markup, PreEscaped, html};
 
 use crate::html::forest::{self, ForestRow};
 use crate::page::PageLayout;
+use crate::summary::few_tests;
 use crate::summary::parameters::ends_in_words;
 use crate::summary::states::{self, FigureCells, cells};
 use crate::table::{ColumnSide, TextColumn};
@@ -59,7 +60,10 @@ impl StateFigure {
     /// The estimate and what is said beside it.
     pub(super) fn cells(self, phase: &PhaseRecord, i: usize) -> FigureCells {
         match self {
-            StateFigure::Mean => states::mean(phase, i),
+            StateFigure::Mean => {
+                let (figure, beside) = states::mean(phase, i);
+                (figure, beside + &few_tests::beside(phase.mean.few_tests.df.get(i).copied().flatten()))
+            }
             StateFigure::StdDev => states::std_dev(phase, i),
         }
     }

@@ -4,6 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
 use super::combination::covariance_of;
+use super::few_tests;
 use super::places;
 use crate::number::FigurePrecision;
 use crate::page::PageLayout;
@@ -34,7 +35,7 @@ pub(crate) fn section(
     let (mean, mean_error): (Vec<_>, Vec<_>) = (0..p).map(|i| mean(phase, i)).unzip();
     let (std_dev, std_dev_error): (Vec<_>, Vec<_>) = (0..p).map(|i| std_dev(phase, i)).unzip();
     let units = (0..p).map(|i| phase.units.get(i).cloned().flatten().unwrap_or_default()).collect();
-    let columns = [
+    let mut columns = vec![
         TextColumn::new("state", ColumnSide::Left, phase.states.clone()),
         TextColumn::new("unit", ColumnSide::Left, units),
         TextColumn::new("mean", ColumnSide::Right, mean),
@@ -42,14 +43,32 @@ pub(crate) fn section(
         TextColumn::new("std dev", ColumnSide::Right, std_dev),
         TextColumn::new("", ColumnSide::Left, std_dev_error),
     ];
+    if record.df_method.is_some() {
+        let df = |i: usize| phase.mean.few_tests.df.get(i).copied().flatten();
+        columns
+            .insert(4, TextColumn::new("df", ColumnSide::Right, (0..p).map(|i| few_tests::freedom(df(i))).collect()));
+        let intervals = (0..p).map(|i| interval(phase, i)).collect();
+        columns.insert(5, TextColumn::new("95 % interval", ColumnSide::Left, intervals));
+    }
     let what = match places::innermost(record) {
         Some(unit) => format!("Initial state: mean, and spread within one {unit}"),
         None => "Initial state over the tests".to_owned(),
     };
     let heading = title(&format!("{what} (± {})", std_error(&record.std_errors)));
-    let elsewhere: Vec<String> = places::elsewhere(record).into_iter().collect();
-    let body = page.table(&columns) + &page.items(&elsewhere);
+    let mut below: Vec<String> = places::elsewhere(record).into_iter().collect();
+    below.extend(few_tests::items(record, phase));
+    let body = page.table(&columns) + &page.items(&below);
     page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
+}
+
+/// The interval of a mean in the digits of the mean; empty where there is none.
+fn interval(phase: &PhaseRecord, i: usize) -> String {
+    let ends = phase.mean.interval95.get(i).copied().flatten();
+    let (Some(&estimate), Some([Some(low), Some(high)])) = (phase.mean.estimate.get(i), ends) else {
+        return String::new();
+    };
+    let precision = FigurePrecision::of(estimate, phase.mean.std_error.get(i).copied().flatten());
+    format!("{} to {}", precision.show(low), precision.show(high))
 }
 
 pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> FigureCells {
@@ -135,8 +154,11 @@ fn coefficient(phase: &PhaseRecord, row: &RegressionRecord) -> Option<&'static s
 
 pub(crate) fn regression(phase: &PhaseRecord, page: &PageLayout<'_>) -> String {
     let rows = &phase.mean.regression;
-    let (values, errors): (Vec<_>, Vec<_>) =
-        rows.iter().map(|r| cells(r.estimate, r.std_error, false, &|| coefficient(phase, r))).unzip();
+    let with_df = |r: &RegressionRecord| {
+        let (value, error) = cells(r.estimate, r.std_error, false, &|| coefficient(phase, r));
+        (value, error + &few_tests::beside(r.few_tests.df))
+    };
+    let (values, errors): (Vec<_>, Vec<_>) = rows.iter().map(with_df).unzip();
     if rows.is_empty() {
         return String::new();
     }

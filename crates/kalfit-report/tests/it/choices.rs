@@ -4,7 +4,7 @@
 use crate::common;
 
 use kalfit::FitRecord;
-use kalfit::record::{DeletionRecord, RegressionRecord};
+use kalfit::record::{CoefficientLawRecord, DeletionRecord, RegressionRecord};
 use kalfit_report::{TextStyle, summary};
 
 fn at(width: usize, record: &FitRecord) -> String {
@@ -25,6 +25,7 @@ fn profiled() -> FitRecord {
     let main = &mut record.phases[0];
     main.mean.interval95 = vec![Some([Some(237.68), Some(265.13)]), Some([Some(7.3586), Some(13.576)])];
     main.mean.regression.push(RegressionRecord {
+        few_tests: CoefficientLawRecord::default(),
         state: "slope".into(),
         column: "age".into(),
         estimate: -0.1234,

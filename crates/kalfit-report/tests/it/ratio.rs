@@ -18,6 +18,7 @@ fn side(log_likelihood: f64, free_parameters: usize) -> SideRecord {
 /// χ²(1) at 1.53.
 fn plain() -> RatioRecord {
     RatioRecord {
+        f: None,
         schema: "kalfit-test/1".into(),
         kalfit_version: "0.1.0".into(),
         title: "Gyro bench".into(),

@@ -7,7 +7,7 @@ use crate::shards::error::ShardError;
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Combination, Criterion, FitError, Progress, Stage, Step, Structure};
 use kalfit_filter::reduce::{Reductions, grouping};
-use kalfit_infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer_while};
+use kalfit_infer::{Choices, DeletionChoice, DfChoice, IntervalKind, StdErrors, TestsChoice, infer_while};
 use kalfit_model::Labels;
 use kalfit_model::remote::{Answer, Answers, Asked, Question, Remote};
 use kalfit_model::{PhasedModel, Slots, Value};
@@ -74,6 +74,7 @@ pub fn go_on(
     let choices = Choices {
         std_errors: asks.std_errors,
         intervals: IntervalKind::Wald,
+        df: DfChoice::None,
         deletion: DeletionChoice::None,
         tests: TestsChoice::None,
     };

@@ -6,7 +6,7 @@ use crate::face::{Ensemble, Options};
 use crate::shards::{Asks, Next, Shard, ShardError, go_on};
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Criterion, Silent};
-use kalfit_infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use kalfit_infer::{Choices, DeletionChoice, DfChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit_model::build::{Columns, ModelBuilder, constant, fixed, free, gauss_markov, measurement, name, phase};
 use kalfit_model::remote::{Answer, Asked, sum};
 use kalfit_model::{Alpha, Column, CovarianceStructure, GroupLevel, PhasedModel, Population};
@@ -56,6 +56,7 @@ fn in_one_place(ensemble: &Ensemble, asks: &Asks) -> FitRecord {
     let choices = Choices {
         std_errors: asks.std_errors,
         intervals: IntervalKind::Wald,
+        df: DfChoice::None,
         deletion: DeletionChoice::None,
         tests: TestsChoice::None,
     };

@@ -9,6 +9,7 @@ mod dynamic_record;
 mod exact;
 mod expected_errors;
 mod far_covariates;
+mod few_tests;
 mod gaps;
 mod inference;
 mod innovations;

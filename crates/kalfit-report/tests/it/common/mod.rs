@@ -12,6 +12,7 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
         states: states.iter().map(|&s| s.into()).collect(),
         units: vec![None; p],
         mean: MeanRecord {
+            few_tests: MeanLawRecord::default(),
             estimate: (0..p).map(|i| 1.0 + i as f64).collect(),
             std_error: vec![Some(0.25); p],
             interval95: vec![None; p],
@@ -44,6 +45,7 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
 
 pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
     FitRecord {
+        df_method: None,
         schema: "kalfit-fit/1".into(),
         kalfit_version: "0.1.0".into(),
         title: title.into(),
@@ -222,6 +224,7 @@ pub(crate) fn constrained() -> FitRecord {
     main.std_dev.std_error[2] = None;
     main.mean.scale = Some(ScaleRecord { estimate: 1.0213, std_error: Some(0.0345), interval95: None });
     main.mean.regression.push(RegressionRecord {
+        few_tests: CoefficientLawRecord::default(),
         state: "bias".into(),
         column: "temperature".into(),
         estimate: 0.01234,

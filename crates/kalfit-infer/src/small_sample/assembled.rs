@@ -1,0 +1,119 @@
+//! Small-sample inference put together: tests, units and θ from an estimate, then the laws of θ and of the mean.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::small_sample::border::Border;
+use crate::small_sample::differences::VarianceSlopes;
+use crate::small_sample::face::Face;
+use crate::small_sample::forest::{Forest, Leaf};
+use crate::small_sample::information::{self, MeanSums, ThetaLaw};
+use crate::small_sample::mean_law::MeanLaw;
+use crate::small_sample::pass::Pass;
+use crate::small_sample::theta::Theta;
+use crate::small_sample::{DfChoice, NoDf, SmallSample};
+use kalfit_estimate::{Estimate, FinalState, Stop};
+use kalfit_filter::reduce::Reductions;
+
+/// Multiplications beyond which small-sample inference is left out.
+const MOST_MULTIPLICATIONS: f64 = 1e10;
+
+/// The laws at a maximum of the restricted likelihood, or why there are none.
+pub(super) fn small_sample(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    choice: DfChoice,
+    noise: &dyn Fn() -> Result<Option<VarianceSlopes>, NoDf>,
+) -> Result<SmallSample, NoDf> {
+    let state = &estimate.state;
+    if estimate.stop != Stop::Certified {
+        return Err(NoDf::NotCertified);
+    }
+    if reductions.remote().is_some() {
+        return Err(NoDf::Remote);
+    }
+    if reductions.has_exact() {
+        return Err(NoDf::Exact);
+    }
+    let noise = noise()?;
+    let noises = noise.as_ref().map_or(0, VarianceSlopes::len);
+    let theta = Theta::of(state, noises).ok_or(NoDf::ZeroDeviation)?;
+    let moves = noise.as_ref().is_some_and(|noise| !noise.variances.linear);
+    let border = Border::of(&state.problem, state.structure().reduced_dimension(), moves);
+    let forest = forest(state, reductions, &border, noise.as_ref()).ok_or(NoDf::Parameters)?;
+    if multiplications(&forest, &theta) > MOST_MULTIPLICATIONS {
+        return Err(NoDf::Size);
+    }
+    let roots = roots(state, border.states());
+    let pass = Pass { forest: &forest, theta: &theta, roots: &roots };
+    let totals = pass.totals().ok_or(NoDf::NotFinite)?;
+    let mean = MeanSums::of(&totals, border.states(), border.means());
+    let law = law(&pass, &mean, (choice, moves))?;
+    let (units, mean_map) = (state.problem.mean_units(), &state.problem.mean);
+    let jacobian = mean_map.centring.uncentred(&mean_map.jacobian());
+    let by_user = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, c| jacobian[(i, c)] * units[i]);
+    let face = Face::of(state, &theta, noise.as_ref().map(|noise| &noise.variances));
+    let estimates = estimate.mean.iter().chain(&estimate.coefficients).copied();
+    let estimates = DVector::from_iterator(jacobian.nrows(), estimates);
+    Ok(SmallSample { law, face, from_user: by_user.transpose(), estimates })
+}
+
+fn law(pass: &Pass<'_>, mean: &MeanSums, (choice, moves): (DfChoice, bool)) -> Result<MeanLaw, NoDf> {
+    if moves {
+        let information = information::observed(pass, mean).ok_or(NoDf::NotFinite)?;
+        return Ok(MeanLaw::moving(mean, ThetaLaw::of(pass, &information).ok_or(NoDf::Parameters)?));
+    }
+    let information = information::expected(pass, mean).ok_or(NoDf::NotFinite)?;
+    let theta = ThetaLaw::of(pass, &information).ok_or(NoDf::NotFinite)?;
+    if choice == DfChoice::Satterthwaite {
+        return Ok(MeanLaw::satterthwaite(mean, theta));
+    }
+    let bent = pass.contracted(&theta.covariance).ok_or(NoDf::NotFinite)?;
+    let (first, q) = (pass.roots[0].nrows(), mean.covariance.nrows());
+    Ok(MeanLaw::kenward_roger(mean, theta, &bent.view((first, first), (q, q)).into_owned()))
+}
+
+/// The tests, and the units that they form.
+fn forest(
+    state: &FinalState,
+    reductions: &Reductions,
+    border: &Border<'_>,
+    noise: Option<&VarianceSlopes>,
+) -> Option<Forest> {
+    let plain = |j: usize| {
+        let k = border.of_test(reductions, j)?;
+        Some(Leaf { k, slopes: Vec::new(), curvatures: Vec::new(), log_curvatures: Vec::new() })
+    };
+    let leaves: Option<Vec<Leaf>> = match noise {
+        None => (0..reductions.len()).map(plain).collect(),
+        Some(noise) => (0..reductions.len()).map(|j| noise.leaf(border, reductions, j)).collect(),
+    };
+    let grouping = state.problem.classes.units.as_ref().map(|units| Arc::clone(&units.grouping));
+    let numbers: Vec<usize> = match &grouping {
+        Some(grouping) => (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect::<Option<_>>()?,
+        None => Vec::new(),
+    };
+    Some(Forest::of(leaves?, grouping.as_deref().map(|grouping| (grouping, &numbers[..]))))
+}
+
+/// F of each level, p × p.
+fn roots(state: &FinalState, p: usize) -> Vec<DMatrix<f64>> {
+    let (root, scale) = (&state.newton_iterate.point.root, &state.problem.classes.frame.scale);
+    let levels = root.nrows() / p.max(1);
+    let of = |level: usize| {
+        let start = level * p;
+        DMatrix::from_fn(p, root.ncols(), |i, c| root[(start + i, c)] * scale[start + i] / scale[i])
+    };
+    (0..levels).map(of).collect()
+}
+
+/// Multiplications of all passes, roughly.
+fn multiplications(forest: &Forest, theta: &Theta) -> f64 {
+    let width = forest.width() as f64;
+    let of_level = |level: usize| {
+        let (below, own) = (theta.first(level) as f64, theta.levels[level].len() as f64);
+        (own + below * (3.0 * width + below)) * width * width + 8.0 * own * (own + below)
+    };
+    forest.evaluations().into_iter().enumerate().map(|(level, count)| count as f64 * of_level(level)).sum()
+}
