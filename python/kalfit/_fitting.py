@@ -172,7 +172,7 @@ def fit(
     solver: Literal["newton", "em"] = "newton",
     criterion: Literal["ml", "reml"] = "ml",
     phases: Literal["chain", "marginal", "stacked"] = "chain",
-    intervals: Literal["wald", "profile"] = "wald",
+    intervals: Literal["auto", "wald", "profile"] = "auto",
     df: Literal["kenward-roger", "satterthwaite", "none"] | None = None,
     std_errors: Literal["observed", "expected", "sandwich"] = "observed",
     deletion: Literal["auto", "all", "none"] = "auto",

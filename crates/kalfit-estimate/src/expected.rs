@@ -96,7 +96,7 @@ fn local(sums: &Sums) -> Local {
 /// The population as a point in η; an error where the population does not agree with the structure.
 fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
-    let (mean, coefficients) = map.from_user(frame, &population.mean, &population.coefficients);
+    let (mean, coefficients) = map.in_eta(frame, &population.mean, &population.coefficients);
     let mean = DVector::from_vec(mean);
     let deviation = &mean - &map.offset;
     let by_structure = &map.offset + &map.basis * (map.basis.transpose() * &deviation);

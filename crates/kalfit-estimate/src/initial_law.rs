@@ -24,7 +24,7 @@ pub fn law_at(problem: &Problem, point: &Point) -> InitialLaw {
 pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
     let frame = &problem.classes.frame;
     let (all_states, units) = (frame.scale.len(), problem.mean_units());
-    let (mean, coefficients) = problem.mean.to_user(frame, point);
+    let (mean, coefficients) = problem.mean.in_user_units(frame, point);
     // ξ of a test in groups is a sum over the levels
     let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
     let p = all_states / levels;

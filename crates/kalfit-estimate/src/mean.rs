@@ -46,7 +46,7 @@ impl MeanMap {
     }
 
     /// μ and the regression coefficients in the user's units, at a point.
-    pub(crate) fn to_user(&self, frame: &Frame, point: &Point) -> (Vec<f64>, Vec<f64>) {
+    pub(crate) fn in_user_units(&self, frame: &Frame, point: &Point) -> (Vec<f64>, Vec<f64>) {
         let mut coordinates = [&point.mean[..], &point.coefficients].concat();
         self.centring.uncentre(&mut coordinates);
         let scaled = coordinates.split_off(point.mean.len());
@@ -56,7 +56,7 @@ impl MeanMap {
 
     /// μ in η and the scaled regression coefficients, from both in the user's units; coefficients that are not given
     /// are zero.
-    pub(crate) fn from_user(&self, frame: &Frame, mean: &[f64], coefficients: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    pub(crate) fn in_eta(&self, frame: &Frame, mean: &[f64], coefficients: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut coordinates = frame.mean_in(mean);
         let given = coefficients.iter().copied().chain(std::iter::repeat(0.0));
         coordinates.extend(self.coefficient_scale.iter().zip(given).map(|(scale, value)| value * scale));

@@ -102,7 +102,7 @@ impl Problem {
         let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
         let Population { mean, coefficients, covariance } = self.values_of(point).together(p);
         let root = symmetric::square_root(&frame.covariance_in(&covariance));
-        let (mean, coefficients) = alone.mean.from_user(frame, &mean, &coefficients);
+        let (mean, coefficients) = alone.mean.in_eta(frame, &mean, &coefficients);
         Some((alone, Point { mean, coefficients, root }))
     }
 
@@ -218,7 +218,7 @@ impl Problem {
             covariance[(i, j)] = value;
             covariance[(j, i)] = value;
         }
-        let (mut mean, coefficients) = self.mean.to_user(frame, point);
+        let (mut mean, coefficients) = self.mean.in_user_units(frame, point);
         for (value, exact) in mean.iter_mut().zip(&self.mean.fixed) {
             *value = exact.unwrap_or(*value);
         }
@@ -234,7 +234,7 @@ impl Problem {
     /// The point of values that meet the structure.
     pub fn point_of(&self, values: &Population) -> Point {
         let frame = &self.classes.frame;
-        let (mean, coefficients) = self.mean.from_user(frame, &values.mean, &values.coefficients);
+        let (mean, coefficients) = self.mean.in_eta(frame, &values.mean, &values.coefficients);
         Point { mean, coefficients, root: self.covariance.root_of(&frame.covariance_in(&values.covariance)) }
     }
 

@@ -66,7 +66,7 @@ const SINGULAR_EIGENVALUE: f64 = 1e-6;
 /// a search that begins there.
 pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitError> {
     let (map, mean, frame) = (&problem.covariance, &problem.mean, &problem.classes.frame);
-    let (wanted, coefficients) = mean.from_user(frame, &values.mean, &values.coefficients);
+    let (wanted, coefficients) = mean.in_eta(frame, &values.mean, &values.coefficients);
     let b = mean.basis.transpose() * (DVector::from_vec(wanted) - &mean.offset);
     let sigma = map.mask(&frame.covariance_in(&values.covariance));
     let of = |part: &PhaseForm| {

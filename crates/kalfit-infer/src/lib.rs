@@ -206,8 +206,8 @@ pub(crate) fn inferred(
         Criterion::Reml => StdErrors::Observed, // the additional term of the restricted ℓ is not a sum over tests
     };
     let (uncertainty, estimates) = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
-    let profiled = match choices.intervals {
-        IntervalKind::Wald => None,
+    let profiled = match choices.intervals.resolved(estimate, reductions.len(), 0) {
+        IntervalKind::Auto | IntervalKind::Wald => None,
         IntervalKind::Profile => interval::profile(estimate, &uncertainty, &free(estimate, &unidentified), progress),
     };
     let intervals = profiled.unwrap_or_else(|| wald(estimate, &uncertainty));

@@ -61,6 +61,11 @@ pub const PHASES: &[OptionWord<Combination>] = &[
 
 /// What intervals are made from.
 pub const INTERVALS: &[OptionWord<IntervalKind>] = &[
+    word(
+        "auto",
+        IntervalKind::Auto,
+        "By profiles with `--criterion reml` and at most 50 tests or units, where that is quick; else from standard errors",
+    ),
     word("wald", IntervalKind::Wald, "From standard errors"),
     word(
         "profile",

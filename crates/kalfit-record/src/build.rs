@@ -194,7 +194,7 @@ fn std_errors(inference: &Inference) -> &'static str {
 
 fn intervals(inference: &Inference) -> &'static str {
     match inference.intervals.kind {
-        IntervalKind::Wald => "wald",
+        IntervalKind::Auto | IntervalKind::Wald => "wald",
         IntervalKind::Profile => "profile",
     }
 }

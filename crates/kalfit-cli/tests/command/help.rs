@@ -188,11 +188,13 @@ fn version_and_help() {
               How 95 % intervals are computed
 
               Possible values:
+              - auto:    By profiles with `--criterion reml` and at most 50 tests or units, where that
+                is quick; else from standard errors
               - wald:    From standard errors
               - profile: From the profile likelihood: all values that a likelihood-ratio test at 5 %
                 does not reject
               
-              [default: wald]
+              [default: auto]
 
           --df <DF>
               How degrees of freedom of means are computed, with `--criterion reml` [default:

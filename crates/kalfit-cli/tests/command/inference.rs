@@ -87,15 +87,15 @@ fn standard_errors_say_what_they_are_made_of() {
     Initial state over the tests (± expected standard error)
       state   mean         std dev
       effect  0.28 ± 0.19    0.185 ± 0.076
-      With 13 tests these intervals of means hold about 91 % of the time; use
-        --criterion reml.
+      With 13 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
+        --criterion reml allows for that.
     ");
     assert_snapshot!(summary("sandwich"), @"
     Initial state over the tests (± sandwich standard error)
       state   mean         std dev
       effect  0.28 ± 0.16     0.19 ± 0.11
-      With 13 tests these intervals of means hold about 91 % of the time; use
-        --criterion reml.
+      With 13 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
+        --criterion reml allows for that.
     ");
 }
 
@@ -163,7 +163,7 @@ fn choices_that_are_not_known_are_refused() {
     ----- stdout
     ----- stderr
     error: invalid value 'bootstrap' for '--intervals <INTERVALS>'
-      [possible values: wald, profile]
+      [possible values: auto, wald, profile]
 
     For more information, try '--help'.
     ");

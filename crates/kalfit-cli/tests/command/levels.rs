@@ -73,8 +73,8 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
       thickness  2000.2 ± 4.0      6.0 ± 1.2
       These standard deviations describe tests of one Lot; see "Spread by level" for
         those from Lot to Lot.
-      With 8 groups of Lot these intervals of means hold about 88 % of the time; use
-        --criterion reml.
+      With 8 groups of Lot, ± 1.96 standard errors hold the mean about 88 % of the
+        time; --criterion reml allows for that.
 
     Spread by level (share: part of the variance of the states)
       state      spread          number  std dev        95 % interval   share

@@ -39,8 +39,8 @@ fn a_summary_of_two_phases() {
       state  unit    mean          std dev
       bias   deg/h   0.80 ± 0.13     0.454 ± 0.094
       slope         0.506 ± 0.048    0.159 ± 0.035
-      With 12 tests these intervals of means hold about 91 % of the time; use
-        --criterion reml.
+      With 12 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
+        --criterion reml allows for that.
 
     Phase bench: correlations (± standard error)
                      bias

@@ -61,8 +61,8 @@ fn sleep_study_has_the_figures_of_lme4() {
       state      unit     mean        std dev
       intercept  ms      251.4 ± 6.6     23.8 ± 5.5
       slope      ms/day   10.5 ± 1.5      5.7 ± 1.2
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                intercept
@@ -150,8 +150,8 @@ fn meta_analysis_has_the_figures_of_metafor() {
       state  unit    mean          std dev
       PD     mm     0.345 ± 0.054    0.084 ± 0.054
       AL     mm    -0.338 ± 0.081    0.162 ± 0.055
-      With 5 tests these intervals of means hold about 85 % of the time; use
-        --criterion reml.
+      With 5 tests, ± 1.96 standard errors hold the mean about 85 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                    PD
@@ -212,8 +212,8 @@ fn gyro_bench_finds_the_error_model_behind_the_simulated_data() {
       bias           deg/h     0.62 ± 0.15      0.77 ± 0.11
       scale          ppm       47.5 ± 6.6       29.0 ± 5.1
       g_sensitivity  deg/h/g  0.271 ± 0.077    0.313 ± 0.057
-      With 28 tests these intervals of means hold about 93 % of the time; use
-        --criterion reml.
+      With 28 tests, ± 1.96 standard errors hold the mean about 93 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                              bias         scale
@@ -286,8 +286,8 @@ fn vaccine_trials_with_a_regression() {
     Initial state over the tests (± standard error)
       state   mean         std dev
       effect  0.28 ± 0.19     0.19 ± 0.11
-      With 13 tests these intervals of means hold about 91 % of the time; use
-        --criterion reml.
+      With 13 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
+        --criterion reml allows for that.
 
       mean of  per unit of  coefficient
       effect   latitude         -0.0295 ± 0.0055
@@ -347,8 +347,8 @@ fn gyros_with_drift_and_constraints() {
       bias                     deg/h    0.401 ± 0.035      0.079 ± 0.027
       scale                    ppm        300 fixed           54 ± 19
       temperature_coefficient         0.00946 ± 0.00099        0 fixed
-      With 6 tests these intervals of means hold about 86 % of the time; use
-        --criterion reml.
+      With 6 tests, ± 1.96 standard errors hold the mean about 86 % of the time;
+        --criterion reml allows for that.
 
     Correlations
       The states are held uncorrelated.
@@ -428,8 +428,8 @@ fn two_sensors_in_long_data() {
       state   mean         std dev
       x1      0.88 ± 0.18     0.37 ± 0.13
       x2     -1.00 ± 0.15     0.28 ± 0.14
-      With 5 tests these intervals of means hold about 85 % of the time; use
-        --criterion reml.
+      With 5 tests, ± 1.96 standard errors hold the mean about 85 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                    x1
@@ -503,8 +503,8 @@ fn without_an_output_the_summary_is_all() {
       state  mean         std dev
       level  1.16 ± 0.37     0.63 ± 0.26
       slope  0.53 ± 0.22     0.37 ± 0.16
-      With 3 tests these intervals of means hold less than 85 % of the time; use
-        --criterion reml.
+      With 3 tests, ± 1.96 standard errors hold the mean less than 85 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                     level

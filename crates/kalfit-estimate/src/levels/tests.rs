@@ -204,7 +204,7 @@ fn point(problem: &Problem, (mean, coefficients, sigmas): &(Vec<f64>, Vec<f64>, 
     }
     let value = |k: usize| if k < p { mean[k] } else { 0.0 };
     let mean: Vec<f64> = (0..all).map(value).collect();
-    let (mean, coefficients) = problem.mean.from_user(frame, &mean, coefficients);
+    let (mean, coefficients) = problem.mean.in_eta(frame, &mean, coefficients);
     Point { mean, coefficients, root }
 }
 

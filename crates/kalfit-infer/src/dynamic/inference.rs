@@ -70,7 +70,9 @@ pub fn infer(
         inference.add_few_tests(SmallSample::with_parameters(&estimate, &fit.reductions, choices.df, &noise));
     }
     inference.sensitivities = constraints(&objective, fit, (&estimate, labels), progress)?;
-    if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
+    let rows = tests.iter().map(PhasedTest::row_count).sum();
+    let kind = choices.intervals.resolved(&estimate, fit.reductions.len(), rows);
+    if kind == IntervalKind::Profile && fit.stop == Stop::Certified {
         let from_errors = (inference.intervals.clone(), parameters.clone());
         let goes_on = |runs| progress.goes_on(runs);
         let objective = objective.while_waited_for(BeforeRuns(&goes_on));

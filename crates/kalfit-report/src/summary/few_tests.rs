@@ -56,7 +56,9 @@ fn unrestricted(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
         Some(percent) => format!("about {percent:.0} %"),
         None => "less than 85 %".to_owned(),
     };
-    Some(format!("With {count} {what} these intervals of means hold {often} of the time; use --criterion reml."))
+    Some(format!(
+        "With {count} {what}, ± 1.96 standard errors hold the mean {often} of the time; --criterion reml allows for that."
+    ))
 }
 
 /// Percent of the time, between the figures that were simulated; `None` below them.

@@ -93,7 +93,10 @@ pub(crate) fn work(record: &FitRecord, page: &PageLayout<'_>) -> String {
         count(solver.filter_passes, "filter run"),
         number::seconds(solver.seconds)
     ));
-    let found = record.search.as_ref().map_or_else(String::new, |search| page.paragraph(&how_found(search)));
+    let is_plain =
+        |search: &&SearchRecord| search.stages.len() < 2 && search.starts < 2 && search.returned_from_zero.is_empty();
+    let search = record.search.as_ref().filter(|search| !is_plain(search));
+    let found = search.map_or_else(String::new, |search| page.paragraph(&how_found(search)));
     designs + &work + &found
 }
 

@@ -88,8 +88,8 @@ fn each_level_has_its_spread_and_its_correlations() {
       scale  2.00 ± 0.25     1.00 ± 0.15
       These standard deviations describe tests of one chip; see "Spread by level"
         for those from lot to lot and from chip to chip.
-      With 3 groups of lot these intervals of means hold less than 85 % of the time;
-        use --criterion reml.
+      With 3 groups of lot, ± 1.96 standard errors hold the mean less than 85 % of
+        the time; --criterion reml allows for that.
 
     Correlations within one chip (± standard error)
                     bias

@@ -53,8 +53,8 @@ fn each_phase_has_sections_of_its_own() {
       state  unit      mean         std dev
       tilt   mrad      1.00 ± 0.25     1.00 ± 0.15
       bias   mrad/min  2.00 ± 0.25     1.00 ± 0.15
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
 
     Phase align: correlations (± standard error)
                    tilt
@@ -103,8 +103,8 @@ fn what_the_marginal_combination_leaves_out_is_said() {
       state  unit      mean         std dev
       tilt   mrad      1.00 ± 0.25     1.00 ± 0.15
       bias   mrad/min  2.00 ± 0.25     1.00 ± 0.15
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
     ");
     fit.composite_log_likelihood = Some(f64::NAN);
     assert!(!summary(&fit, &TextStyle::default()).contains("NaN"));

@@ -21,8 +21,8 @@ fn a_healthy_fit_reads_from_verdict_to_figures() {
       state      unit     mean        std dev
       intercept  ms      251.4 ± 6.6     23.8 ± 5.1
       slope      ms/day   10.5 ± 1.5      5.7 ± 1.1
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                intercept
@@ -74,8 +74,8 @@ fn singular_covariances_and_unidentified_directions_are_said_in_words() {
       bias             1 not identified        1 boundary
       scale            2 not identified      0.5 boundary
       misalignment  3.00 ± 0.10                0 at zero (boundary)
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                      bias  scale
@@ -130,8 +130,8 @@ fn constraints_show_what_they_cost() {
       bias                     1.00 ± 0.25     1.00 ± 0.15
       scale_factor                0 fixed      1.00 ± 0.15
       temperature_coefficient  3.00 ± 0.25        0 fixed
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
       The mean is the given direction times a scale: 1.021 ± 0.035.
 
       mean of  per unit of  coefficient
@@ -194,8 +194,8 @@ fn without_random_states_the_means_remain() {
     Initial state over the tests (± standard error)
       state  mean         std dev
       level  1.00 ± 0.25        0 fixed
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
 
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
@@ -275,8 +275,8 @@ fn wide_matrices_are_cut_into_parts_that_fit_80_columns() {
       kz                     8.00 ± 0.25     1.00 ± 0.15
       misalignment_xy        9.00 ± 0.25     1.00 ± 0.15
       m2                    10.00 ± 0.25     1.00 ± 0.15
-      With 18 tests these intervals of means hold about 92 % of the time; use
-        --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time;
+        --criterion reml allows for that.
 
     Correlations (± standard error)
                             accelerometer_bias_x  accelerometer_bias_y
@@ -346,7 +346,7 @@ fn wide_matrices_use_120_columns_where_there_are() {
       kz                     8.00 ± 0.25     1.00 ± 0.15
       misalignment_xy        9.00 ± 0.25     1.00 ± 0.15
       m2                    10.00 ± 0.25     1.00 ± 0.15
-      With 18 tests these intervals of means hold about 92 % of the time; use --criterion reml.
+      With 18 tests, ± 1.96 standard errors hold the mean about 92 % of the time; --criterion reml allows for that.
 
     Correlations (± standard error)
                             accelerometer_bias_x  accelerometer_bias_y              gx            gy            gz
