@@ -60,9 +60,9 @@ impl Comparison {
             self.scaled(&format!("{of}{kind}"), &found["estimate"], expected, &want["scale"][kind], rel);
             let errors = &want["std_error"][kind];
             let what = format!("{of}std_error of {kind}");
-            self.walk(&what, &found["std_error"], errors, &Value::Null, &|expected, _| {
-                (STD_ERROR_REL * expected.abs()).max(LEAST)
-            });
+            // references have the errors of generalised least squares
+            let own = found.get("std_error_plain").unwrap_or(&found["std_error"]);
+            self.walk(&what, own, errors, &Value::Null, &|expected, _| (STD_ERROR_REL * expected.abs()).max(LEAST));
         }
         self.boundary(of, phase, want);
     }
