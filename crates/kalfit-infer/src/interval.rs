@@ -44,7 +44,9 @@ impl IntervalKind {
         }
         let units = estimate.grouping().map_or(tests, |grouping| grouping.groups(grouping.depth() - 1).len());
         let quantities = estimate.state.problem.covariance.elements.count();
-        let is_cheap = quantities <= FEW_QUANTITIES && quantities * rows <= CHEAP_ROWS;
+        // with groups and free α a profile may follow a ridge for minutes
+        let is_slow = estimate.grouping().is_some() && rows > 0;
+        let is_cheap = !is_slow && quantities <= FEW_QUANTITIES && quantities * rows <= CHEAP_ROWS;
         let is_few = estimate.criterion == Criterion::Reml && units <= FEW_UNITS;
         let is_here = estimate.state.problem.classes.remote.is_none();
         if is_few && is_cheap && is_here { IntervalKind::Profile } else { IntervalKind::Wald }
