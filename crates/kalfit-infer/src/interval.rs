@@ -16,8 +16,8 @@ pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
 /// Method of the intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum IntervalKind {
-    /// By profile likelihood under the restricted likelihood with at most fifty independent tests or units, where that
-    /// takes about a second; else from standard errors.
+    /// By profile likelihood under the restricted likelihood with at most [`FEW_UNITS`] independent tests or units, where
+    /// that takes about a second; else from standard errors.
     #[default]
     Auto,
     /// From standard errors: symmetric in the logarithm of a standard deviation, in Fisher's z of a correlation, and in
@@ -29,10 +29,11 @@ pub enum IntervalKind {
 
 /// Number of independent tests or units up to which profiles are the default: with more, intervals from standard errors
 /// of logarithms hold within 1 % of their level (theory §14).
-const FEW_UNITS: usize = 50;
-/// Maximal number of rows × profiles, about a second of filter runs where α is free.
+pub const FEW_UNITS: usize = 50;
+/// Maximal number of rows × profiles where α is free: a profile takes some thirty filter runs, and 10⁵ rows a third of a
+/// millisecond for each.
 const CHEAP_ROWS: usize = 100_000;
-/// Maximal number of quantities that have a profile by default.
+/// Maximal number of elements of Σ that have profiles by default, as for free α.
 const FEW_QUANTITIES: usize = 60;
 
 impl IntervalKind {
@@ -44,7 +45,7 @@ impl IntervalKind {
         }
         let units = estimate.grouping().map_or(tests, |grouping| grouping.groups(grouping.depth() - 1).len());
         let quantities = estimate.state.problem.covariance.elements.count();
-        // with groups and free α a profile may follow a ridge for minutes
+        // with groups and free α a profile of 3 states took 100 s, where Σ of the groups is nearly singular
         let is_slow = estimate.grouping().is_some() && rows > 0;
         let is_cheap = !is_slow && quantities <= FEW_QUANTITIES && quantities * rows <= CHEAP_ROWS;
         let is_few = estimate.criterion == Criterion::Reml && units <= FEW_UNITS;

@@ -11,7 +11,7 @@ const MAX_OPEN: f64 = 1e-9;
 /// Eigenvalues of LCL', scaled to unit diagonal, below this one: the rows of L depend on each other.
 const DEPENDENT: f64 = 1e-11;
 
-/// What small samples need of the mean: C, C_A, C M_a C and V.
+/// The laws of β̂ and of the estimated θ: C, C_A, C M_a C and V.
 #[derive(Debug, Clone)]
 pub(super) struct MeanLaw {
     pub(super) method: DfMethod,

@@ -1,10 +1,9 @@
 //! What the number of tests means for intervals of means, in words.
 
 use kalfit::FitRecord;
+use kalfit::infer::FEW_UNITS;
 use kalfit::record::PhaseRecord;
 
-/// Number of tests, or of groups of the outermost level, from which intervals of many tests hold well.
-const MANY: usize = 50;
 /// How often 95 % intervals of means by maximum likelihood hold, in percent, by number of tests: simulated ensembles of
 /// one to four states.
 const COVERAGE: [(f64, f64); 6] = [(5.0, 85.0), (8.0, 88.0), (12.0, 91.0), (20.0, 93.0), (40.0, 94.0), (50.0, 94.0)];
@@ -49,7 +48,7 @@ fn unrestricted(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
         Some(outermost) => (outermost.groups, format!("groups of {}", outermost.name)),
         None => (record.data.tests, "tests".to_owned()),
     };
-    if record.criterion != "ml" || !free || !(2..MANY).contains(&count) {
+    if record.criterion != "ml" || !free || !(2..FEW_UNITS).contains(&count) {
         return None;
     }
     let often = match coverage(count as f64) {
