@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::estimated::Estimated;
+use crate::small_sample::MeanAndVarianceLaw;
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Level, PhasedModel};
 
@@ -76,6 +77,8 @@ pub struct Knowledge {
     pub tests: f64,
     /// Whether restricted maximum likelihood was used: Σ then allows for the estimation of the means.
     pub is_restricted: bool,
+    /// Laws of the means and of the covariances with few tests, under the restricted likelihood.
+    pub few_tests: Option<MeanAndVarianceLaw<Estimand>>,
 }
 
 impl Knowledge {
@@ -88,6 +91,7 @@ impl Knowledge {
             at_zero: Vec::new(),
             tests: f64::INFINITY,
             is_restricted: true,
+            few_tests: None,
         }
     }
 }
@@ -105,6 +109,7 @@ impl Knowledge {
             at_zero: self.at_zero.iter().filter(|known| !is_exact(known)).cloned().collect(),
             tests: self.tests,
             is_restricted: self.is_restricted,
+            few_tests: self.few_tests.as_ref().map(|law| law.without(is_exact)),
         }
     }
 }

@@ -50,7 +50,7 @@ pub use estimates::EstimateCovariance;
 pub use holdable::Quantities;
 pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Uncertainty, free, uncertainty};
-pub use interval::{Interval, IntervalKind, Intervals, wald};
+pub use interval::{FEW_UNITS, Interval, IntervalKind, Intervals, wald};
 pub use kalfit_algebra::elements::Element;
 pub use knowledge::{Estimand, Knowledge};
 pub use levels::GroupPosterior;
@@ -63,7 +63,9 @@ pub use ratio::{
     Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,
 };
 pub use reason::{Explanation, Reason};
-pub use small_sample::{DfChoice, DfMethod, FewTests, JointTest, MeanTest, NoDf, NoJointTest, SmallSample};
+pub use small_sample::{
+    DfChoice, DfMethod, FewTests, JointTest, MeanAndVarianceLaw, MeanTest, NoDf, NoJointTest, SmallSample,
+};
 pub use std_errors::StdErrors;
 
 pub use constraint::{holds_any, is_held};

@@ -100,7 +100,7 @@ impl FitRecord {
             levels,
             groups: Vec::new(),
             parameters,
-            estimates: inference.estimates.as_ref().map(|found| EstimatesRecord::new(model, found, slots)),
+            estimates: estimates(model, inference, slots),
             starts: Vec::new(),
             methods: Vec::new(),
             constraints: constraints(model, &inference.sensitivities),
@@ -128,6 +128,12 @@ fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
 
 /// The record of the certificate. A score below the rounding error has no meaning, so the rounding error is recorded
 /// instead.
+/// The covariance of all estimates, with the laws of few tests.
+fn estimates(model: &PhasedModel, inference: &Inference, slots: Option<(&Slots, &Labels)>) -> Option<EstimatesRecord> {
+    let few_tests = inference.few_tests.as_ref().and_then(|found| found.as_ref().ok()?.law.exported());
+    Some(EstimatesRecord::new(model, inference.estimates.as_ref()?, few_tests, slots))
+}
+
 fn certificate(estimate: &Estimate) -> CertificateRecord {
     let Certificate { mean, covariance, null_space, rounding, .. } = estimate.certificate;
     let least = |score: f64, free: usize| if free > 0 { score.max(rounding) } else { score };

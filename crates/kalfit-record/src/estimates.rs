@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use kalfit_infer::{Estimand, EstimateCovariance, Estimated, Knowledge};
+use kalfit_infer::{Estimand, EstimateCovariance, Estimated, Knowledge, MeanAndVarianceLaw};
 use kalfit_model::Labels;
 use kalfit_model::{PhasedModel, Slots};
 
@@ -25,6 +25,26 @@ pub struct EstimatesRecord {
     pub open: Vec<String>,
     /// Variances and noise levels that were estimated as zero.
     pub at_zero: Vec<String>,
+    /// Laws of means and covariances with few tests, under the restricted likelihood; absent where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub few_tests: Option<FewTestsLawRecord>,
+}
+
+/// Laws of means and covariances with few tests, from which degrees of freedom of predictions follow.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FewTestsLawRecord {
+    /// Name of each variance, covariance and free parameter.
+    pub names: Vec<String>,
+    /// Covariance of the estimates of these, for singular Σ too.
+    pub covariance: SquareRecord,
+    /// Name of each mean and regression coefficient.
+    pub means: Vec<String>,
+    /// Covariance of the estimates of the means, with the errors by `df_method`.
+    pub mean_covariance: SquareRecord,
+    /// Covariance of the estimates of the means at known covariances and parameters.
+    pub mean_covariance_plain: SquareRecord,
+    /// Derivatives of `mean_covariance_plain` with respect to each of `names`.
+    pub mean_slopes: Vec<SquareRecord>,
 }
 
 /// Names of the elements of μ, of the regression coefficients, and of the elements of Σ.
@@ -66,6 +86,7 @@ impl EstimatesRecord {
     pub(super) fn new(
         model: &PhasedModel,
         found: &EstimateCovariance,
+        few_tests: Option<MeanAndVarianceLaw>,
         values: Option<(&Slots, &Labels)>,
     ) -> EstimatesRecord {
         let of: HashMap<Estimated, String> = names(model).into_iter().collect();
@@ -83,8 +104,58 @@ impl EstimatesRecord {
             covariance: (&found.covariance).into(),
             open: found.open.iter().map(name).collect(),
             at_zero: found.at_zero.iter().map(name).collect(),
+            few_tests: few_tests.map(|law| FewTestsLawRecord::new(&law, &name)),
         }
     }
+}
+
+impl FewTestsLawRecord {
+    fn new(law: &MeanAndVarianceLaw, name: &dyn Fn(&Estimated) -> String) -> FewTestsLawRecord {
+        let kept = places(law.mean_covariance.nrows(), |k| law.mean_covariance[(k, k)] > 0.0);
+        let of_means = |matrix: &DMatrix<f64>| (&matrix.select_rows(&kept).select_columns(&kept)).into();
+        let mean = |&k: &usize| name(&k.checked_sub(law.means).map_or(Estimated::Mean(k), Estimated::Coefficient));
+        FewTestsLawRecord {
+            names: law.quantities.iter().map(name).collect(),
+            covariance: (&law.covariance).into(),
+            means: kept.iter().map(mean).collect(),
+            mean_covariance: of_means(&law.mean_covariance),
+            mean_covariance_plain: of_means(&law.mean_covariance_plain),
+            mean_slopes: law.mean_slopes.iter().map(of_means).collect(),
+        }
+    }
+
+    /// The law for a model with p elements of μ and r coefficients; `None` where names or sizes do not fit.
+    fn law(&self, of: &HashMap<String, Estimand>, (p, r): (usize, usize)) -> Option<MeanAndVarianceLaw<Estimand>> {
+        let place = |name: &String| match of.get(name)? {
+            Estimand::Population(Estimated::Mean(i)) if *i < p => Some(*i),
+            Estimand::Population(Estimated::Coefficient(c)) if *c < r => Some(p + c),
+            _ => None,
+        };
+        let places: Vec<usize> = self.means.iter().map(place).collect::<Option<_>>()?;
+        let of_means = |record: &SquareRecord| {
+            let mut matrix = DMatrix::zeros(p + r, p + r);
+            for (i, &row) in places.iter().enumerate() {
+                places.iter().enumerate().for_each(|(k, &column)| matrix[(row, column)] = record[i][k]);
+            }
+            (record.size() == places.len()).then_some(matrix)
+        };
+        let count = self.names.len();
+        let is_whole = self.covariance.size() == count && self.mean_slopes.len() == count;
+        let covariance = is_whole.then(|| DMatrix::from_fn(count, count, |a, b| self.covariance[a][b]))?;
+        Some(MeanAndVarianceLaw {
+            means: p,
+            quantities: self.names.iter().map(|name| of.get(name).cloned()).collect::<Option<_>>()?,
+            covariance,
+            mean_covariance: of_means(&self.mean_covariance)?,
+            mean_covariance_plain: of_means(&self.mean_covariance_plain)?,
+            mean_slopes: self.mean_slopes.iter().map(of_means).collect::<Option<_>>()?,
+        })
+    }
+}
+
+/// The indices below `count` that `is_kept` selects.
+fn places(count: usize, is_kept: impl Fn(usize) -> bool) -> Vec<usize> {
+    (0..count).filter(|&k| is_kept(k)).collect()
 }
 
 impl FitRecord {
@@ -111,6 +182,8 @@ impl FitRecord {
         let is_restricted = self.criterion == "reml";
         let tests = self.levels.first().map_or(self.data.tests, |level| level.groups) as f64;
         let (quantities, open, at_zero) = (quantities?, open?, at_zero?);
-        Some(Knowledge { quantities, covariance, open, at_zero, tests, is_restricted })
+        let width = (model.dimension(), model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum());
+        let few_tests = record.few_tests.as_ref().and_then(|law| law.law(&of, width));
+        Some(Knowledge { quantities, covariance, open, at_zero, tests, is_restricted, few_tests })
     }
 }

@@ -118,7 +118,7 @@ impl FitRecord {
             let follows = unit.follows.as_ref().filter(valid);
             let follows = follows.map(|rows| DMatrix::from_fn(p, width, |i, c| rows[i][c]));
             let initial = Initial::of_group(model, population, (unit.mean.clone(), &covariance), follows);
-            Initial { by_estimates: unit.slopes(&quantities, p), ..initial }
+            Initial { by_estimates: unit.slopes(&quantities, p), group_tests: unit.tests, ..initial }
         };
         valid.map(|unit| (unit.id.clone(), law(unit))).collect()
     }

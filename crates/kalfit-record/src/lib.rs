@@ -51,7 +51,7 @@ pub use diagnosis::shortage_notes;
 pub use directions::crossing_notes;
 pub use dynamic::DynamicParts;
 pub use dynamic_ratio::DynamicSides;
-pub use estimates::EstimatesRecord;
+pub use estimates::{EstimatesRecord, FewTestsLawRecord};
 pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
 pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
 pub use group_levels::{LevelRecord, UnitRecord};

@@ -77,6 +77,12 @@ pub struct PredictedValueRecord {
     pub confidence: Option<[f64; 2]>,
     /// Tolerance limits.
     pub tolerance: Option<[f64; 2]>,
+    /// Limits that hold the value of one new test with the probability `content`.
+    #[serde(default)]
+    pub prediction: Option<[f64; 2]>,
+    /// Degrees of freedom of these limits; null where they are by the normal law.
+    #[serde(default)]
+    pub df: Option<f64>,
 }
 
 /// Two outputs together.
@@ -168,21 +174,26 @@ impl PredictedRecord {
         let is_last = |value: &&Predicted| matches!(value.what, What::State(_)) || value.row == last;
         let own = step.values.iter().filter(is_last);
         let named = own.filter_map(|value| Some((value, name_of((model, &outputs[phase]), phase, value.what)?)));
-        let records = named.map(|(value, (name, what, unit))| PredictedValueRecord {
-            test: test.to_owned(),
-            phase: model.phases[phase].name.clone(),
-            row: value.row + 1,
-            time: step.time,
-            name: name.to_owned(),
-            what: what.to_owned(),
-            unit: unit.map(str::to_owned),
-            mean: value.mean,
-            std_dev: value.std_dev(),
-            std_dev_population: value.population.sqrt(),
-            std_dev_process: value.process.sqrt(),
-            std_dev_estimation: value.estimation.map(|estimation| estimation.mean.sqrt()),
-            confidence: bounds.of_mean(value),
-            tolerance: bounds.of_tests(value),
+        let records = named.map(|(value, (name, what, unit))| {
+            let new_test = bounds.of_new_test(value);
+            PredictedValueRecord {
+                test: test.to_owned(),
+                phase: model.phases[phase].name.clone(),
+                row: value.row + 1,
+                time: step.time,
+                name: name.to_owned(),
+                what: what.to_owned(),
+                unit: unit.map(str::to_owned),
+                mean: value.mean,
+                std_dev: value.std_dev(),
+                std_dev_population: value.population.sqrt(),
+                std_dev_process: value.process.sqrt(),
+                std_dev_estimation: value.estimation.map(|estimation| estimation.mean.sqrt()),
+                confidence: bounds.of_mean(value),
+                tolerance: bounds.of_tests(value),
+                prediction: new_test.map(|(limits, _)| limits),
+                df: new_test.map(|(_, degrees)| degrees).filter(|degrees| degrees.is_finite()),
+            }
         });
         self.last.extend(records.collect::<Vec<_>>());
         self.pairs.extend(pair(&outputs[phase], test, step, bounds.limits().content));

@@ -69,6 +69,7 @@ fn table(values: &[PredictedValueRecord], width: usize) -> String {
         column("population", &|value| plain(value.std_dev_population, DIGITS)),
         column("process", &|value| plain(value.std_dev_process, DIGITS)),
         column("estimation", &|value| value.std_dev_estimation.map_or("unknown".to_owned(), |x| plain(x, DIGITS))),
+        column("one new test", &|value| limits(value.prediction)),
         column("limits of the mean", &|value| limits(value.confidence)),
         column("tolerance limits", &|value| limits(value.tolerance)),
     ];
@@ -97,6 +98,10 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
          \"std. dev.\" combines those that are known."
             .to_owned(),
     ];
+    notes.push(format!(
+        "\"One new test\": the limits that contain its value with probability {part} %, by Student's t where the fit has degrees of \
+         freedom."
+    ));
     let limits = match record.one_sided {
         true => format!(
             "Tolerance limits, each with confidence {sure} %: {part} % of all tests are below the upper limit, and {part} % are above \
@@ -123,8 +128,8 @@ fn notes(record: &PredictedRecord) -> Vec<String> {
         (true, Some(_)) => {
             let these = if record.profile { "The tolerance limits" } else { "The limits" };
             format!(
-                "{these} treat the estimated variance as chi-squared, with degrees of freedom that follow from its standard error. That \
-                 is exact where every test determines its initial state exactly, and a good approximation for many tests. A limit is \
+                "{these} treat the estimated variance as chi-squared, with degrees of freedom that follow from its standard error, or \
+                 from those of the fit by restricted likelihood. That is exact where every test determines its initial state exactly, and a good approximation for many tests. A limit is \
                  \"unknown\" where there are too few tests for it or the data do not determine the quantity."
             )
         }

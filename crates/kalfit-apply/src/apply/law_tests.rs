@@ -71,6 +71,7 @@ fn knowledge(fitted: f64) -> Knowledge {
         open: vec![],
         at_zero: vec![],
         tests: fitted,
+        few_tests: None,
         is_restricted: false,
     }
 }

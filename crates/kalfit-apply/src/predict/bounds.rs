@@ -21,7 +21,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
 use crate::predict::root::{EarlierRoots, decreasing_root, increasing_root};
 use crate::predict::widths::Widths;
-use crate::predict::{MeanLimits, Predicted};
+use crate::predict::{Estimation, FewTestsDegrees, MeanLimits, Predicted};
 
 /// Confidence, content and sides of limits.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,6 +80,9 @@ impl VarianceEstimate {
     /// Estimate of a value's variance; `None` where there are too few tests.
     fn of(value: &Predicted) -> Option<VarianceEstimate> {
         let estimation = value.estimation?;
+        if let Some(few) = estimation.few_tests {
+            return VarianceEstimate::of_few_tests(value, &estimation, few);
+        }
         let (population, of_population) = (value.population, estimation.population);
         if of_population <= 0.0 {
             let variance = value.variance();
@@ -122,6 +125,26 @@ impl VarianceEstimate {
         (degrees >= 0.5).then_some(variance_estimate)
     }
 
+    /// Estimate of a value's variance by the laws of few tests (14.11).
+    fn of_few_tests(value: &Predicted, estimation: &Estimation, few: FewTestsDegrees) -> Option<VarianceEstimate> {
+        let variance = value.variance();
+        let seen = few.seen.filter(|degrees| degrees.is_finite());
+        let scale = seen.map_or(variance, |degrees| (0.5 * degrees * estimation.variance).sqrt().max(variance));
+        let degrees = if estimation.variance > 0.0 { 2.0 * scale * scale / estimation.variance } else { f64::INFINITY };
+        let found = VarianceEstimate { variance, scale, degrees, of_mean: estimation.mean, degrees_of_mean: few.mean };
+        (degrees >= 0.5 && few.mean >= 0.5).then_some(found)
+    }
+
+    /// Degrees of freedom of the variance of the difference between a new test and the prediction, by Satterthwaite.
+    /// The variance of the mean's estimate is taken to be proportional to s² + r.
+    fn degrees_of_new_test(&self) -> f64 {
+        if self.scale > 0.0 {
+            self.degrees * ((self.variance + self.of_mean) / (self.scale + self.of_mean)).powi(2)
+        } else {
+            self.degrees
+        }
+    }
+
     /// Whether r = 0: then all half widths are proportional to 1/c, and no search for c is needed.
     fn has_no_test_error(&self) -> bool {
         self.scale <= self.variance
@@ -137,7 +160,7 @@ impl VarianceEstimate {
     fn approximate_half_width(&self, confidence: f64, width: f64) -> f64 {
         let part = 2.0 / (9.0 * self.degrees);
         let root = 1.0 - part - normal().inverse_cdf(confidence) * part.sqrt();
-        (width * self.at(root.max(0.2).powf(1.5))).max(self.variance.sqrt())
+        (width * self.at(root.max(0.2).powf(1.5))).max(self.variance.sqrt()).max(self.of_mean.sqrt())
     }
 
     /// P(χ²_ν/ν ≥ c²).
@@ -169,12 +192,21 @@ impl Bounds {
         }
         let variance_estimate = VarianceEstimate::of(value).filter(|_| !value.is_drawn_to_zero)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
-        let quantile = match variance_estimate.degrees_of_mean < KNOWN_DEGREES {
-            true => StudentsT::new(0.0, 1.0, variance_estimate.degrees_of_mean).ok()?.inverse_cdf(upper),
-            false => normal().inverse_cdf(upper),
-        };
-        let half = quantile * variance_estimate.of_mean.sqrt();
+        let half = quantile(variance_estimate.degrees_of_mean, upper)? * variance_estimate.of_mean.sqrt();
         Some([value.mean - half, value.mean + half])
+    }
+
+    /// Limits that contain the value of one new test with probability p, Student's t with the degrees of freedom that
+    /// come with them (14.12); infinite where the variance is known. `None` where the limits are not known.
+    pub fn of_new_test(&self, value: &Predicted) -> Option<([f64; 2], f64)> {
+        let own = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero && !value.is_drawn_to_zero)?;
+        let few = value.estimation.and_then(|estimation| estimation.few_tests);
+        let degrees = few.map_or_else(|| own.degrees_of_new_test(), |few| few.new_test);
+        if degrees < 0.5 {
+            return None;
+        }
+        let half = quantile(degrees, 0.5 * (1.0 + self.limits.content))? * (own.variance + own.of_mean).sqrt();
+        Some(([value.mean - half, value.mean + half], degrees))
     }
 
     /// Limits that contain p of all tests with confidence γ; `None` where the limits are not known, or where a variance
@@ -182,22 +214,22 @@ impl Bounds {
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
         let variance_estimate =
             VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero && !value.is_drawn_to_zero)?;
-        if variance_estimate.variance == 0.0 {
+        if variance_estimate.scale == 0.0 {
             return self.of_mean(&Predicted { limits: MeanLimits::Error, ..value.clone() });
         }
-        let half = self.factor(&variance_estimate)? * variance_estimate.variance.sqrt();
+        let half = self.factor(&variance_estimate)? * variance_estimate.scale.sqrt();
         Some([value.mean - half, value.mean + half])
     }
 
-    /// Factor h/s, a function of (s² + r)/s², V/s² and ν.
+    /// Factor h/√(s² + r), a function of s²/(s² + r), V/(s² + r) and ν.
     fn factor(&self, variance_estimate: &VarianceEstimate) -> Option<f64> {
-        let [scale, of_mean] =
-            [variance_estimate.scale, variance_estimate.of_mean].map(|x| x / variance_estimate.variance);
-        let key = [scale, of_mean, variance_estimate.degrees].map(f64::to_bits);
+        let [variance, of_mean] =
+            [variance_estimate.variance, variance_estimate.of_mean].map(|x| x / variance_estimate.scale);
+        let key = [variance, of_mean, variance_estimate.degrees].map(f64::to_bits);
         if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).copied()) {
             return known;
         }
-        let unit = VarianceEstimate { variance: 1.0, scale, of_mean, ..*variance_estimate };
+        let unit = VarianceEstimate { variance, scale: 1.0, of_mean, ..*variance_estimate };
         let found = match self.limits.sides {
             Sides::One => self.one_sided(&unit),
             Sides::Two => self.two_sided(&unit),
@@ -249,6 +281,7 @@ impl Bounds {
             );
         }
         let law = ChiSquared::new(variance_estimate.degrees).ok()?;
+        let size = s.max(0.1 * variance_estimate.scale.sqrt());
         let needed = |x: f64, c: f64| {
             let (s, mean_offset) = (variance_estimate.at(c), x.abs() * mean_offset / c);
             if s > mean_offset * 1e-9 { s * self.widths.at(mean_offset / s) } else { mean_offset }
@@ -269,8 +302,16 @@ impl Bounds {
         increasing_root(
             &confidence_at,
             self.limits.confidence,
-            variance_estimate.approximate_half_width(self.limits.confidence, self.widths.at(mean_offset / s)),
+            variance_estimate.approximate_half_width(self.limits.confidence, self.widths.at(mean_offset / size)),
         )
+    }
+}
+
+/// Quantile of Student's t.
+fn quantile(degrees: f64, probability: f64) -> Option<f64> {
+    match degrees < KNOWN_DEGREES {
+        true => Some(StudentsT::new(0.0, 1.0, degrees).ok()?.inverse_cdf(probability)),
+        false => Some(normal().inverse_cdf(probability)),
     }
 }
 
@@ -301,6 +342,7 @@ mod tests {
             lost: 1,
             is_restricted: false,
             tests: 1000.0,
+            few_tests: None,
         };
         Predicted {
             what: What::Output(0),
@@ -375,6 +417,7 @@ mod tests {
                 lost: 1,
                 is_restricted: true,
                 tests: 1000.0,
+                few_tests: None,
             };
             let restricted = Predicted { population: 1.0, estimation: Some(estimation), ..of(tests) };
             let bounds = limits(0.9, 0.95, Sides::Two);
@@ -418,6 +461,7 @@ mod tests {
             lost: 1,
             is_restricted: false,
             tests: 1000.0,
+            few_tests: None,
         };
         let value = Predicted { population: ml, estimation: Some(estimation), ..of(30.0) };
         let variance_estimate = VarianceEstimate::of(&value).expect("enough tests");
@@ -440,6 +484,7 @@ mod tests {
             lost: 1,
             is_restricted: false,
             tests: 1000.0,
+            few_tests: None,
         });
         let one = Predicted { population: 1.0, estimation, ..of(9.0) };
         assert_eq!(limits(0.9, 0.95, Sides::Two).of_tests(&one), None);

@@ -11,6 +11,7 @@
 mod bounds;
 mod degrees;
 mod error;
+mod few_tests;
 mod pair;
 mod root;
 mod steps;
@@ -143,6 +144,20 @@ pub struct Estimation {
     pub is_restricted: bool,
     /// Number of tests, or of groups of the outermost level, that the estimates are from.
     pub tests: f64,
+    /// Degrees of freedom by the laws of few tests (14.8), (14.12); `None` where the fit has no such laws.
+    pub few_tests: Option<FewTestsDegrees>,
+}
+
+/// Degrees of freedom of a prediction by the laws of few tests. Infinite where what is estimated has no error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FewTestsDegrees {
+    /// ν of the estimate of the mean.
+    pub mean: f64,
+    /// ν_h of the variance of the difference between the value of a new test and its prediction.
+    pub new_test: f64,
+    /// ν of the variance over tests together with the errors of tests, as the estimate of the mean tells it; `None` for
+    /// a test of a known unit, and where the mean is known.
+    pub seen: Option<f64>,
 }
 
 impl Predicted {
@@ -178,6 +193,8 @@ pub struct Initial {
     pub by_estimates: Option<HashMap<Estimand, DVector<f64>>>,
     /// Indices of the blocks of Σ, one per level, that `covariance` is the sum of.
     pub levels: Range<usize>,
+    /// Number of tests that a known group has; zero for a new group.
+    pub group_tests: usize,
 }
 
 impl Initial {
@@ -185,7 +202,16 @@ impl Initial {
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
         let Population { mean, covariance, .. } = population.together(model.dimension());
         let levels = 0..model.levels.len() + 1;
-        Initial { mean, covariance, left: None, shrinkage: None, by_coefficients: None, by_estimates: None, levels }
+        Initial {
+            mean,
+            covariance,
+            left: None,
+            shrinkage: None,
+            by_coefficients: None,
+            by_estimates: None,
+            levels,
+            group_tests: 0,
+        }
     }
 
     /// Initial state of a new test of a known group of the innermost level. `mean`, `covariance`: posterior E[m | z], V
@@ -214,6 +240,7 @@ impl Initial {
             by_coefficients: follows.map(|follows| follows.columns(p, follows.ncols() - p).into_owned()),
             by_estimates: None,
             levels: 0..1,
+            group_tests: 1,
         }
     }
 }

@@ -6,9 +6,10 @@ use std::ops::Range;
 use nalgebra::DVector;
 
 use crate::predict::degrees::LostDegrees;
+use crate::predict::few_tests::FewTestsInput;
 use crate::predict::value::PredictedValue;
 use crate::predict::{Estimation, Initial};
-use kalfit_infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
+use kalfit_infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE, MeanAndVarianceLaw};
 use kalfit_model::{Alpha, Phase, PhasedModel};
 
 /// Fraction of the scale of a derivative below which the derivative counts as zero.
@@ -68,7 +69,8 @@ impl ValueSteps {
         let own = value.sensitivity.rows(0, p);
         let is_seen = |known: &Estimand| match *known {
             Estimand::Population(Estimated::Covariance(i, _)) => {
-                initial.levels.contains(&(i / p)) && own[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax()
+                let is_counted = knowledge.few_tests.as_ref().is_some_and(|law| law.quantities.contains(known));
+                !is_counted && initial.levels.contains(&(i / p)) && own[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax()
             }
             _ => false,
         };
@@ -129,8 +131,14 @@ impl ValueSteps {
         let found =
             [variance(&|slopes| slopes[0]), variance(&|slopes| slopes[1] + slopes[2]), variance(&|slopes| slopes[1])];
         let [mean, variance, population] = found.map(|x| if x < 0.0 { 0.0 } else { x });
-        let mean = mean + initial.left.as_ref().map_or(0.0, |left| value.population(left));
+        let left = initial.left.as_ref().map_or(0.0, |left| value.population(left));
         let is_known = mean.is_finite() && variance.is_finite() && population.is_finite();
+        let few_tests =
+            knowledge.few_tests.as_ref().and_then(|law| of.few_tests(law, (knowledge, &all), left)?.errors());
+        let (mean, variance, population) = match &few_tests {
+            Some(few) => (few.mean.unwrap_or(mean) + left, few.variance, few.population),
+            None => (mean + left, variance, population),
+        };
         is_known.then_some(Estimation {
             mean,
             variance,
@@ -138,6 +146,7 @@ impl ValueSteps {
             lost: self.lost(knowledge, initial, &of, &all),
             is_restricted: knowledge.is_restricted,
             tests: knowledge.tests,
+            few_tests: few_tests.map(|few| few.degrees),
         })
     }
 }
@@ -191,6 +200,34 @@ impl<'a> Slopes<'a> {
                 [along_group + slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
             }
         }
+    }
+
+    /// The derivatives by (μ, γ) and by θ of `law`; `all`: those by the quantities of `knowledge`. `None` where a
+    /// parameter of θ is not among them.
+    fn few_tests<'b>(
+        &'b self,
+        law: &'b MeanAndVarianceLaw<Estimand>,
+        (knowledge, all): (&Knowledge, &[[f64; 3]]),
+        left: f64,
+    ) -> Option<FewTestsInput<'b>> {
+        let p = self.own.len();
+        let by_mean = DVector::from_fn(law.mean_covariance.nrows(), |i, _| {
+            let quantity = if i < p { Estimated::Mean(i) } else { Estimated::Coefficient(i - p) };
+            self.by(usize::MAX, &Estimand::Population(quantity))[0]
+        });
+        let by_theta = law.quantities.iter().map(|quantity| match quantity {
+            Estimand::Population(_) => Some(self.by(usize::MAX, quantity)),
+            Estimand::Parameter { .. } => Some(all[knowledge.quantities.iter().position(|own| own == quantity)?]),
+        });
+        Some(FewTestsInput {
+            law,
+            initial: self.initial,
+            own: &self.own,
+            by_mean,
+            by_theta: by_theta.collect::<Option<_>>()?,
+            variance: self.value.population(&self.initial.covariance) + self.value.process,
+            left,
+        })
     }
 
     /// Whether the value depends on the estimand with index `at`.

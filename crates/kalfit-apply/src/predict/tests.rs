@@ -123,6 +123,7 @@ fn what_estimates_leave_open_follows_by_derivatives() {
         open: vec![],
         at_zero: vec![],
         tests: 100.0,
+        few_tests: None,
         is_restricted: false,
     };
     let found = predicted(&model, cells(&model, 0..TIMES.len()), knowledge.clone());

@@ -88,11 +88,11 @@ fn a_mission_is_what_the_fit_makes_of_it() {
       angle [deg]  0.5104      4.996         4.8        0       1.386
       rate [deg]   0.6701      2.403         1.6    1.732      0.4619
 
-                   limits of the mean  tolerance limits
-      bias           -0.6963 to 1.037   -4.628 to 4.968
-      walk                     0 to 0   -3.727 to 3.727
-      angle [deg]      -2.089 to 3.11    -13.88 to 14.9
-      rate [deg]     -0.1963 to 1.537   -4.963 to 6.303
+                      one new test  limits of the mean  tolerance limits
+      bias         -3.659 to 3.999    -0.6963 to 1.037   -4.628 to 4.968
+      walk         -3.434 to 3.434              0 to 0   -3.727 to 3.727
+      angle [deg]     -10.98 to 12      -2.089 to 3.11    -13.88 to 14.9
+      rate [deg]   -4.283 to 5.623    -0.1963 to 1.537   -4.963 to 6.303
 
     Two outputs together
       Test m, angle and rate: the ellipse about the means that holds 95 % of all
@@ -105,13 +105,16 @@ fn a_mission_is_what_the_fit_makes_of_it() {
         states from test to test, "process" that of process noise and of initial
         states with a given spread, and "estimation" the error of the estimated
         mean. The column "std. dev." combines those that are known.
+      "One new test": the limits that contain its value with probability 95 %, by
+        Student's t where the fit has degrees of freedom.
       Limits of the mean: a two-sided interval with confidence 90 %. Tolerance
         limits, with confidence 90 %: 95 % of all tests are between them.
       The limits treat the estimated variance as chi-squared, with degrees of
-        freedom that follow from its standard error. That is exact where every test
-        determines its initial state exactly, and a good approximation for many
-        tests. A limit is "unknown" where there are too few tests for it or the data
-        do not determine the quantity.
+        freedom that follow from its standard error, or from those of the fit by
+        restricted likelihood. That is exact where every test determines its initial
+        state exactly, and a good approximation for many tests. A limit is "unknown"
+        where there are too few tests for it or the data do not determine the
+        quantity.
     ----- stderr
     Wrote mission.out.csv
     "#);

@@ -20,8 +20,10 @@ use kalfit_search::{DynamicError, ProfileLikelihood, Settings};
 /// Multiplications of a first look, a fraction of a second: where evenly chosen units of tests determine everything, all
 /// tests do.
 const FEW_MULTIPLICATIONS: f64 = 5e7;
-/// What the data do not identify at the free values `starts` of α, in the order of `slots`: as
-/// [`examine_at_start`](crate::examine_at_start), and directions of (μ, Σ) along which other values of α fit as well.
+
+/// Examines identifiability before any fit, at the free values `starts` of α, in the order of `slots`: as
+/// [`examine_at_start`](crate::examine_at_start) does, and for directions of (μ, Σ) along which other values of α fit as
+/// well.
 /// `reductions`: those at the start. Directions with values of α are left out where tests are not given by rows, where more
 /// than 24 values are free, and where the information does not exist at the start.
 ///

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::small_sample::border::Border;
 use crate::small_sample::differences::VarianceSlopes;
+use crate::small_sample::exported::user_theta;
 use crate::small_sample::face::Face;
 use crate::small_sample::forest::{Forest, Leaf};
 use crate::small_sample::information::{self, MeanSums, ThetaLaw};
@@ -53,10 +54,12 @@ pub(super) fn small_sample(
     let (units, mean_map) = (state.problem.mean_units(), &state.problem.mean);
     let jacobian = mean_map.centring.uncentred(&mean_map.jacobian());
     let by_user = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, c| jacobian[(i, c)] * units[i]);
-    let face = Face::of(state, &theta, noise.as_ref().map(|noise| &noise.variances));
+    let variances = noise.as_ref().map(|noise| &noise.variances);
+    let face = Face::of(state, &theta, variances);
+    let user_theta = user_theta(state, &theta, variances);
     let estimates = estimate.mean.iter().chain(&estimate.coefficients).copied();
     let estimates = DVector::from_iterator(jacobian.nrows(), estimates);
-    Ok(SmallSample { law, face, from_user: by_user.transpose(), estimates })
+    Ok(SmallSample { law, face, from_user: by_user.transpose(), estimates, means: estimate.mean.len(), user_theta })
 }
 
 fn law(pass: &Pass<'_>, mean: &MeanSums, (choice, moves): (DfChoice, bool)) -> Result<MeanLaw, NoDf> {

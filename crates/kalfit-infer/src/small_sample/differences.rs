@@ -126,7 +126,10 @@ fn coordinates(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, slots: Vec<u
     };
     let found: Option<Vec<[f64; 2]>> = slots.iter().map(of).collect();
     let linear = found.is_some();
-    Variances { linear, by_coordinate: found.unwrap_or_else(|| vec![[1.0, 0.0]; slots.len()]), slots }
+    let by_coordinate = found.unwrap_or_else(|| vec![[1.0, 0.0]; slots.len()]);
+    let value_by_coordinate = |s: usize| if objective.coordinates[s].log { fit.values[s] } else { 1.0 };
+    let value_by_theta = slots.iter().zip(&by_coordinate).map(|(&s, [by, _])| value_by_coordinate(s) / by).collect();
+    Variances { linear, by_coordinate, value_by_theta, slots }
 }
 
 impl VarianceSlopes {

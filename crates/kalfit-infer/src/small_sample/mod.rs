@@ -14,6 +14,7 @@ mod assembled;
 mod border;
 mod differences;
 mod each_mean;
+mod exported;
 mod face;
 mod forest;
 mod hypothesis;
@@ -29,6 +30,7 @@ mod variances;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimated::Estimated;
 use crate::small_sample::face::Face;
 use crate::small_sample::mean_law::MeanLaw;
 use kalfit_estimate::{Criterion, Estimate};
@@ -37,6 +39,7 @@ use kalfit_filter::reduce::Reductions;
 use differences::VarianceSlopes;
 pub(crate) use differences::slopes;
 pub use each_mean::FewTests;
+pub use exported::MeanAndVarianceLaw;
 
 /// Number of independent tests or units beyond which the laws of many tests hold.
 const MANY_UNITS: usize = 5000;
@@ -142,6 +145,10 @@ pub struct SmallSample {
     from_user: DMatrix<f64>,
     /// Estimates of (μ, coefficients).
     estimates: DVector<f64>,
+    /// Number of elements of μ.
+    means: usize,
+    /// The elements of θ, each with dvalue/dθ for its value in the user's units.
+    user_theta: Vec<(Estimated, f64)>,
 }
 
 impl SmallSample {

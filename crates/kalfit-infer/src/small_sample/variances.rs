@@ -13,6 +13,8 @@ pub(crate) struct Variances {
     pub(crate) linear: bool,
     /// dθ/dcoordinate of each, and d²θ/dcoordinate² over it; 1 and 0 where θ are the coordinates.
     pub(crate) by_coordinate: Vec<[f64; 2]>,
+    /// dvalue/dθ of each, with the value as users know it.
+    pub(crate) value_by_theta: Vec<f64>,
 }
 
 /// For each parameter in `moving` the exponent k: all covariances of noise are linear in the θ^k together. `None` where

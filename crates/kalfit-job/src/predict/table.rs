@@ -23,11 +23,13 @@ pub(super) fn columns() -> Vec<(String, CellKind)> {
     ];
     let place = [("row", CellKind::Count), ("time", CellKind::Number), ("name", CellKind::Text)];
     let all = texts.into_iter().chain(place).chain(numbers.map(|name| (name, CellKind::Number)));
-    all.chain([("what", CellKind::Text)]).map(|(name, kind)| (name.to_owned(), kind)).collect()
+    let last = [("what", CellKind::Text)].into_iter();
+    let last = last.chain(["df", "prediction_lower", "prediction_upper"].map(|name| (name, CellKind::Number)));
+    all.chain(last).map(|(name, kind)| (name.to_owned(), kind)).collect()
 }
 
-/// Both limits of the mean and of tests.
-type LimitPair = (Option<[f64; 2]>, Option<[f64; 2]>);
+/// Limits of the mean, of tests, and of one new test with their degrees of freedom.
+type AllLimits = (Option<[f64; 2]>, Option<[f64; 2]>, Option<([f64; 2], f64)>);
 
 /// Writes one phase of a test.
 pub(super) fn write_phase(
@@ -36,12 +38,13 @@ pub(super) fn write_phase(
     phase: &PhasePredictions,
     writer: &mut OutputTableWriter<'_>,
 ) -> Result<(), WriteError> {
-    let of = |value: &Predicted| -> LimitPair { (bounds.of_mean(value), bounds.of_tests(value)) };
-    let ends: Vec<Vec<LimitPair>> = phase.steps.par_iter().map(|step| step.values.iter().map(of).collect()).collect();
+    let of =
+        |value: &Predicted| -> AllLimits { (bounds.of_mean(value), bounds.of_tests(value), bounds.of_new_test(value)) };
+    let ends: Vec<Vec<AllLimits>> = phase.steps.par_iter().map(|step| step.values.iter().map(of).collect()).collect();
     let number_or = |x: Option<f64>| x.map_or(TableCell::Missing, TableCell::Number);
     let both = |ends: Option<[f64; 2]>| [number_or(ends.map(|ends| ends[0])), number_or(ends.map(|ends| ends[1]))];
     for (step, ends) in phase.steps.iter().zip(ends) {
-        for (value, (confidence, tolerance)) in step.values.iter().zip(ends) {
+        for (value, (confidence, tolerance, new_test)) in step.values.iter().zip(ends) {
             let Some((name, what, _)) = name_of((model, &outputs[phase.phase]), phase.phase, value.what) else {
                 continue;
             };
@@ -61,6 +64,8 @@ pub(super) fn write_phase(
             ];
             cells.extend(both(confidence).into_iter().chain(both(tolerance)));
             cells.push(TableCell::Text(what));
+            cells.push(number_or(new_test.map(|(_, degrees)| degrees).filter(|degrees| degrees.is_finite())));
+            cells.extend(both(new_test.map(|(limits, _)| limits)));
             writer.write(cells)?;
         }
     }

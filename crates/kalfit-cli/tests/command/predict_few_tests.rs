@@ -1,0 +1,119 @@
+//! Predictions from few tests: limits of one new test and tolerance limits by the laws of the restricted likelihood,
+//! against tables and against formulas with matrices of all measurements.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
+use kalfit_fixtures::near;
+use nalgebra::{DMatrix, DVector};
+use serde_json::Value;
+
+use crate::folder::{Folder, shown};
+
+fn wave(seed: u32) -> f64 {
+    (f64::from(seed) * 12.9898 + 0.3).sin()
+}
+
+/// The fit and the one row of its predictions for a new test.
+fn predicted(model: &str, data: &str, options: &str) -> (Value, csv::StringRecord, csv::StringRecord) {
+    let head = data.lines().next().unwrap();
+    let design = format!("{head}\nnew,other,{}\n", if head.contains(",x,") { "0.5," } else { "" });
+    let files = [("m.toml", model), ("d.csv", data), ("new.csv", &design)];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    for run in [
+        "fit m.toml d.csv --criterion reml --out fit.json".to_owned(),
+        format!("predict m.toml --from fit.json --design new.csv --out p.csv {options}"),
+    ] {
+        let output = folder.run(&run);
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    }
+    let mut table = csv::Reader::from_path(folder.path("p.csv")).unwrap();
+    let head = table.headers().unwrap().clone();
+    let row = table.records().next().unwrap().unwrap();
+    (serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap(), head, row)
+}
+
+fn cell((head, row): (&csv::StringRecord, &csv::StringRecord), name: &str) -> f64 {
+    row[head.iter().position(|own| own == name).unwrap()].parse().unwrap()
+}
+
+/// Five tests that determine their level: t with four degrees of freedom and (1 + 1/5)s², and the factor of noncentral t
+/// for 95 % of all tests with confidence 90 %.
+#[test]
+fn five_exact_tests_have_the_limits_of_the_tables() {
+    let values = [3.1, 4.7, 2.2, 5.9, 3.6];
+    let data: String = values.iter().enumerate().map(|(j, y)| format!("t{j},u{j},{y}\n")).collect();
+    let model = "[data]\ntest = \"test\"\n[states]\nlevel = {}\n[measurements.y]\ncolumn = \"y\"\nequation = \"level\"\n\
+                 noise = 1e-4\n";
+    let (_, head, row) = predicted(model, &format!("test,unit,y\n{data}"), "--one-sided");
+    let row = (&head, &row);
+    let mean = values.iter().sum::<f64>() / 5.0;
+    let s = (values.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / 4.0).sqrt();
+    near::relative("degrees of freedom", cell(row, "df"), 4.0, 1e-6);
+    // t of 0.975 with 4 degrees of freedom
+    near::relative("new test", cell(row, "prediction_upper") - mean, 2.776_445_105 * s * 1.2f64.sqrt(), 1e-6);
+    near::relative("tolerance", cell(row, "tolerance_upper") - mean, 3.399_833_958 * s, 1e-5);
+    // t of 0.95
+    near::relative("mean", cell(row, "confidence_upper") - mean, 2.131_846_786 * s / 5f64.sqrt(), 1e-6);
+}
+
+/// A variance of zero: both the limits of the mean and tolerance limits allow for the variance that may be there.
+#[test]
+fn tests_that_do_not_seem_to_differ_have_limits() {
+    let row = |(j, k): (u32, u32)| format!("t{j},u{j},{}\n", 2.0 + wave(90 + k) + 1e-3 * wave(7 * j + k));
+    let data: String = (0..6).flat_map(|j| (0..4).map(move |k| (j, k))).map(row).collect();
+    let model = "[data]\ntest = \"test\"\n[states]\nlevel = {}\n[measurements.y]\ncolumn = \"y\"\nequation = \"level\"\n\
+                 noise = \"s\"\n[parameters]\ns = {}\n";
+    let (fit, head, row) = predicted(model, &format!("test,unit,y\n{data}"), "");
+    let row = (&head, &row);
+    assert_eq!(fit["phases"][0]["covariance"]["estimate"][0][0], 0.0, "a case with a variance of zero");
+    let error = cell(row, "std_dev_estimation");
+    let half = |end: &str| cell(row, &format!("{end}_upper")) - cell(row, "mean");
+    assert!(half("confidence") > 1.9 * error, "t of five degrees of freedom at 95 %: 2.02");
+    assert!(half("tolerance") > half("confidence"));
+}
+
+/// Units of unequal tests with a covariate: h, ν_h and the error of the mean from matrices of all measurements.
+#[test]
+fn degrees_of_freedom_of_a_new_test_are_those_of_the_joint_gaussian() {
+    let mut places = Vec::new();
+    for j in 0..14u32 {
+        (0..1 + j % 4).for_each(|k| places.push((j, j / 3, wave(10 * j + k + 400))));
+    }
+    let value = |(at, &(j, unit, x)): (usize, &(u32, u32, f64))| {
+        1.5 + 0.4 * x + 1.1 * wave(unit + 31) + 0.8 * wave(j + 60) + 0.5 * wave(at as u32 + 200)
+    };
+    let y: Vec<f64> = places.iter().enumerate().map(value).collect();
+    let line = |(&(j, unit, x), y): (&(u32, u32, f64), &f64)| format!("t{j:02},u{unit},{x:e},{y:e}\n");
+    let data: String = places.iter().zip(&y).map(line).collect();
+    let model = "[data]\ntest = \"test\"\nlevels = [\"unit\"]\n[states]\nlevel = {}\nb = { random = false }\n\
+                 [measurements.y]\ncolumn = \"y\"\nequation = \"level + b * x\"\nnoise = \"s\"\n[parameters]\ns = {}\n";
+    let (fit, head, row) = predicted(model, &format!("test,unit,x,y\n{data}"), "");
+    let row = (&head, &row);
+    let n = places.len();
+    let same = |of: &dyn Fn(usize) -> u32| DMatrix::from_fn(n, n, |a, b| f64::from(u8::from(of(a) == of(b))));
+    let slopes = [DMatrix::identity(n, n), same(&|a| places[a].0), same(&|a| places[a].1)];
+    let s = fit["parameters"][0]["estimate"].as_f64().unwrap();
+    let sigma = |block: &Value| block["covariance"]["estimate"][0][0].as_f64().unwrap();
+    let [within, between] = [sigma(&fit["phases"][0]), sigma(&fit["levels"][0])];
+    assert!(within > 0.0 && between > 0.0, "a case inside");
+    let v = &slopes[0] * (s * s) + &slopes[1] * within + &slopes[2] * between;
+    let w = v.try_inverse().unwrap();
+    let x = DMatrix::from_fn(n, 2, |a, c| if c == 0 { 1.0 } else { places[a].2 });
+    let c = (x.transpose() * &w * &x).try_inverse().unwrap();
+    let p = &w - &w * &x * &c * x.transpose() * &w;
+    let by: Vec<DMatrix<f64>> = slopes.iter().map(|slope| &p * slope).collect();
+    let information = DMatrix::from_fn(3, 3, |a, b| 0.5 * by[a].dot(&by[b].transpose()));
+    let v_theta = information.try_inverse().unwrap();
+    let half = &c * x.transpose() * &w;
+    let of_c = |a: usize| (&half * &slopes[a] * half.transpose())[(0, 0)];
+    let g = DVector::from_fn(3, |a, _| of_c(a) + f64::from(u8::from(a > 0)));
+    let h = within + between + c[(0, 0)];
+    let freedom = 2.0 * h * h / g.dot(&(&v_theta * &g));
+    near::relative("ν_h", cell(row, "df"), freedom, 1e-5);
+    let error = fit["phases"][0]["mean"]["std_error"][0].as_f64().unwrap();
+    near::relative("error of the mean", cell(row, "std_dev_estimation"), error, 1e-9);
+    assert!(error * error > c[(0, 0)], "the error allows for that of the variances");
+    let all = (within + between + error * error).sqrt();
+    let quantile = (cell(row, "prediction_upper") - cell(row, "mean")) / all;
+    assert!((2.0..3.5).contains(&quantile), "t with {freedom} degrees of freedom: {quantile}");
+}
