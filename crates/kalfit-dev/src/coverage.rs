@@ -5,6 +5,7 @@
 //! logarithm, those of correlations on that of atanh.
 
 mod drawn;
+mod few_tests;
 mod levels;
 mod predictions;
 mod tally;
@@ -152,6 +153,7 @@ const SHARE_OF_LEVELS: u64 = 10;
 pub(crate) fn run(ensembles: u64, only: &str) -> ExitCode {
     println!("Coverage of 95 % intervals, {ensembles} ensembles each unless said otherwise, seed {SEED}.\n");
     let sound = without_levels(ensembles, only);
+    few_tests::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     levels::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     predictions::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     verdicts::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);

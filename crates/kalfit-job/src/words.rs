@@ -74,7 +74,7 @@ pub const INTERVALS: &[OptionWord<IntervalKind>] = &[
     ),
 ];
 
-/// What degrees of freedom of means are made from.
+/// Methods of the degrees of freedom of means.
 pub const DF: &[OptionWord<DfChoice>] = &[
     word("kenward-roger", DfChoice::KenwardRoger, "Standard errors and degrees of freedom by Kenward and Roger"),
     word("satterthwaite", DfChoice::Satterthwaite, "Degrees of freedom by Satterthwaite"),

@@ -1,4 +1,4 @@
-//! What few tests mean for the means, in words.
+//! Notes on the standard errors and degrees of freedom of means with few tests.
 
 use crate::number::plain;
 use kalfit_estimate::Estimate;

@@ -112,7 +112,7 @@ pub struct MeanRecord {
     pub regression: Vec<RegressionRecord>,
 }
 
-/// What is known of means with few tests (`df_method` says how), one entry for each element of μ; null where fixed or not
+/// Tests of means with few tests by the method in `df_method`, one entry for each element of μ; null where fixed or not
 /// identified. `std_error` and `interval95` are then by the same method.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MeanLawRecord {
@@ -133,7 +133,7 @@ pub struct MeanLawRecord {
     pub p_value: Vec<Option<f64>>,
 }
 
-/// What is known of a regression coefficient with few tests, as for means.
+/// The test of a regression coefficient with few tests, as for means.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct CoefficientLawRecord {
     /// Standard error of generalised least squares at the estimated covariance.
@@ -179,7 +179,7 @@ pub struct RegressionRecord {
     /// 95 % interval.
     #[serde(default)]
     pub interval95: Interval,
-    /// Its test with few tests, under `reml`.
+    /// The test of the coefficient with few tests, under `reml`.
     #[serde(flatten)]
     pub few_tests: CoefficientLawRecord,
 }

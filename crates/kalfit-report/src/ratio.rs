@@ -116,7 +116,7 @@ fn laws(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     page.section(&heading, &body)
 }
 
-/// `F(2, 4.88) = 204.6, Kenward and Roger, restricted likelihood`.
+/// The line of an F test: `F(2, 4.88) = 204.6 by Kenward and Roger, for few tests`.
 fn of_means(f: &FRecord) -> String {
     let by = if f.method == "kenward-roger" { "Kenward and Roger" } else { "Satterthwaite" };
     let den = f.df_den.map_or_else(|| "∞".to_owned(), |df| plain(df, 3));

@@ -3,6 +3,7 @@
 mod apply;
 mod broken;
 mod check;
+mod coefficients;
 mod compare;
 mod datasheet;
 mod dynamic;
@@ -33,6 +34,7 @@ mod phases;
 mod plan;
 mod plot;
 mod predict;
+mod predict_few_tests;
 mod report;
 mod roles;
 mod scales;

@@ -19,7 +19,7 @@ pub struct CoefficientsAsStates {
 }
 
 impl PhasedModel {
-    /// The same model with every coefficient as a state; `None` where no parameter is one. A coefficient is a free
+    /// This model with every coefficient as a state; `None` where no parameter is a coefficient. A coefficient is a free
     /// parameter, one for all tests, that occurs only in constants of measurements and inputs of states, linearly, and
     /// multiplied by nothing that is free.
     ///
