@@ -263,8 +263,8 @@ pub(crate) struct TestArgs {
     #[arg(long, value_name = "NULL")]
     pub(crate) null: PathBuf,
 
-    /// Also draw this many ensembles from the hypothesis and repeat the test in each: a p-value without large-sample theory
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    /// Draw this many ensembles from the hypothesis and repeat the test in each: a p-value without large-sample theory; 0 for none [default: 999 with at most 50 tests or units and known parameters]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     pub(crate) bootstrap: Option<u32>,
 
     /// Seed of the bootstrap [default: 1]

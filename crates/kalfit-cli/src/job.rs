@@ -6,13 +6,13 @@ use clap_complete::Shell;
 use kalfit::apply::StateKind;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Settings, Solver};
-use kalfit::infer::{Bootstrap, Choices, TestsChoice};
+use kalfit::infer::{Choices, TestsChoice};
 use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::sums::{JoinJob, SumsJob};
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldChoice,
-    ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
+    ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables,
+    FoldChoice, ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
 use crate::args::{
@@ -169,7 +169,7 @@ impl From<TestArgs> for TestJob {
             model: args.model.into(),
             data: data(args.data),
             null: args.null.into(),
-            bootstrap: args.bootstrap.map(|n| Bootstrap { replicates: n as usize, seed }),
+            bootstrap: BootstrapChoice::of(args.bootstrap.map(|n| n as usize), seed),
             out: args.out,
             settings: settings(Solver::Newton, args.tolerance, args.max_iterations),
         }

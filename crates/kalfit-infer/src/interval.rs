@@ -7,8 +7,10 @@ use crate::held::{Held, HeldMaximum, Holder};
 use crate::holdable::{Holdable, Quantities};
 use crate::information::Uncertainty;
 use crate::progress::SharedProgress;
+use crate::ratio::calibrated;
 use kalfit_algebra::elements::Elements;
 use kalfit_estimate::{Criterion, Estimate, Point};
+use kalfit_filter::reduce::Reductions;
 
 /// Normal quantile q of 97.5 %: a profile interval holds the values with ℓ_max at most ½q² below the maximum.
 pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
@@ -25,6 +27,9 @@ pub enum IntervalKind {
     Wald,
     /// By profile likelihood: values that the likelihood-ratio test at 5 % does not reject.
     Profile,
+    /// By profile likelihood, with the quantiles of the ratios in ensembles drawn from the estimate in place of that of χ².
+    /// For known α.
+    Bootstrap,
 }
 
 /// Number of independent tests or units up to which profiles are the default: with more, intervals from standard errors
@@ -36,6 +41,15 @@ const CHEAP_ROWS: usize = 100_000;
 /// Maximal number of elements of Σ that have profiles by default, as for free α.
 const FEW_QUANTITIES: usize = 60;
 
+/// Whether an estimate is from few units that are here, and of a Σ of few elements: what is done with few units is then
+/// quick.
+pub fn has_few_units(estimate: &Estimate, tests: usize) -> bool {
+    let units = estimate.grouping().map_or(tests, |grouping| grouping.groups(grouping.depth() - 1).len());
+    let problem = &estimate.state.problem;
+    let is_here = problem.classes.remote.is_none();
+    is_here && units <= FEW_UNITS && problem.covariance.elements.count() <= FEW_QUANTITIES
+}
+
 impl IntervalKind {
     /// The method without [`IntervalKind::Auto`]; `rows`: rows that a run of the filters takes, zero where profiles need
     /// no run.
@@ -43,14 +57,12 @@ impl IntervalKind {
         if self != IntervalKind::Auto {
             return self;
         }
-        let units = estimate.grouping().map_or(tests, |grouping| grouping.groups(grouping.depth() - 1).len());
         let quantities = estimate.state.problem.covariance.elements.count();
         // with groups and free α a profile of 3 states took 100 s, where Σ of the groups is nearly singular
         let is_slow = estimate.grouping().is_some() && rows > 0;
-        let is_cheap = !is_slow && quantities <= FEW_QUANTITIES && quantities * rows <= CHEAP_ROWS;
-        let is_few = estimate.criterion == Criterion::Reml && units <= FEW_UNITS;
-        let is_here = estimate.state.problem.classes.remote.is_none();
-        if is_few && is_cheap && is_here { IntervalKind::Profile } else { IntervalKind::Wald }
+        let is_cheap = !is_slow && quantities * rows <= CHEAP_ROWS;
+        let is_few = estimate.criterion == Criterion::Reml && has_few_units(estimate, tests);
+        if is_few && is_cheap { IntervalKind::Profile } else { IntervalKind::Wald }
     }
 }
 
@@ -105,6 +117,18 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     found
 }
 
+/// Intervals by profile likelihood with quantiles from drawn ensembles; otherwise as [`profile`].
+pub(super) fn bootstrap(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    (uncertainty, free): (&Uncertainty, &Quantities<bool>),
+    progress: &SharedProgress<'_>,
+) -> Option<Intervals> {
+    let quantiles = calibrated::quantiles(estimate, reductions, &profiled(estimate, free), progress)?;
+    let found = profile_with(estimate, uncertainty, free, &quantiles, progress)?;
+    Some(Intervals { kind: IntervalKind::Bootstrap, ..found })
+}
+
 /// Intervals by profile likelihood, also of quantities on the boundary; Wald intervals of means under the restricted
 /// likelihood, which has no profile of means. An end is `None` where the search finds no certified maximum near the
 /// end; the result is `None` once `progress` stops.
@@ -114,6 +138,17 @@ pub(super) fn profile(
     free: &Quantities<bool>,
     progress: &SharedProgress<'_>,
 ) -> Option<Intervals> {
+    profile_with(estimate, uncertainty, free, &vec![QUANTILE; profiled(estimate, free).len()], progress)
+}
+
+/// [`profile`] with a quantile for each profile.
+fn profile_with(
+    estimate: &Estimate,
+    uncertainty: &Uncertainty,
+    free: &Quantities<bool>,
+    quantiles: &[f64],
+    progress: &SharedProgress<'_>,
+) -> Option<Intervals> {
     let mut found = Intervals::none(IntervalKind::Profile, estimate);
     if estimate.criterion == Criterion::Reml {
         let wald = wald(estimate, uncertainty).ends;
@@ -121,7 +156,12 @@ pub(super) fn profile(
     }
     let wanted = profiled(estimate, free);
     let holder = Holder::new(&estimate.state);
-    found.compute_profiles((estimate, uncertainty), &wanted, (&holder, &estimate.state.newton_iterate.point), progress);
+    found.compute_profiles(
+        (estimate, uncertainty),
+        (&wanted, quantiles),
+        (&holder, &estimate.state.newton_iterate.point),
+        progress,
+    );
     (!progress.stops()).then_some(found)
 }
 
@@ -135,22 +175,23 @@ pub(crate) fn profiled(estimate: &Estimate, free: &Quantities<bool>) -> Vec<Hold
 }
 
 impl Intervals {
-    /// Computes and stores the profile intervals of the quantities in `wanted`; `start` is the maximum.
+    /// Computes and stores the profile intervals of the quantities in `wanted`, with a quantile for each; `start` is the maximum.
     pub(crate) fn compute_profiles<H: Holds<What = Holdable>>(
         &mut self,
         (estimate, uncertainty): (&Estimate, &Uncertainty),
-        wanted: &[Holdable],
+        (wanted, quantiles): (&[Holdable], &[f64]),
         (holder, start): (&H, &H::Near),
         progress: &SharedProgress<'_>,
     ) {
         let ends: Vec<Interval> = wanted
             .par_iter()
-            .map(|&what| {
+            .zip(quantiles)
+            .map(|(&what, &quantile)| {
                 let centre = value(estimate, what)?;
-                let step = uncertainty.errors.of(what).map_or_else(|| first_step(estimate, what), |e| QUANTILE * e);
+                let step = uncertainty.errors.of(what).map_or_else(|| first_step(estimate, what), |e| quantile * e);
                 let maximum = estimate.state.newton_iterate.local.value;
                 let (name, limits) = (progress.name(what), limits(what));
-                let profile = Profile { holder, what, name, centre, maximum, quantile: QUANTILE, limits, progress };
+                let profile = Profile { holder, what, name, centre, maximum, quantile, limits, progress };
                 Some([profile.end(start, -step), profile.end(start, step)])
             })
             .collect();

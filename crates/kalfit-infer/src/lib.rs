@@ -50,7 +50,7 @@ pub use estimates::EstimateCovariance;
 pub use holdable::Quantities;
 pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Uncertainty, free, uncertainty};
-pub use interval::{FEW_UNITS, Interval, IntervalKind, Intervals, wald};
+pub use interval::{FEW_UNITS, Interval, IntervalKind, Intervals, has_few_units, wald};
 pub use kalfit_algebra::elements::Element;
 pub use knowledge::{Estimand, Knowledge};
 pub use levels::GroupPosterior;
@@ -211,6 +211,10 @@ pub(crate) fn inferred(
     let profiled = match choices.intervals.resolved(estimate, reductions.len(), 0) {
         IntervalKind::Auto | IntervalKind::Wald => None,
         IntervalKind::Profile => interval::profile(estimate, &uncertainty, &free(estimate, &unidentified), progress),
+        IntervalKind::Bootstrap => {
+            let free = free(estimate, &unidentified);
+            interval::bootstrap(estimate, reductions, (&uncertainty, &free), progress)
+        }
     };
     let intervals = profiled.unwrap_or_else(|| wald(estimate, &uncertainty));
     let each = choices.tests == TestsChoice::Each;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
+use kalfit::infer::IntervalKind;
 use kalfit::infer::misfit::FittedEnsemble;
 use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
@@ -40,6 +41,10 @@ pub(crate) fn fit(
         let mut record = known(job, spec, given, (&alpha, &tests, &reading), work)?;
         record.notes.extend(notes);
         return Ok((record, HeldTests::Tests(tests, alpha)));
+    }
+    if job.choices.intervals == IntervalKind::Bootstrap {
+        let parameter = shared.parameters[slots.slots()[0].parameter].name.clone();
+        return Err(failure(DynamicError::Bootstrap { parameter }, &reading));
     }
     let groups = groups::of(model, &tests, &reading.labels)?;
     let data = SearchData { model, tests: &tests, reading: &reading };
@@ -140,6 +145,7 @@ pub(crate) fn failure(error: DynamicError, reading: &DataReading) -> Failure {
         DynamicError::Fit(error) => Failure::Fit(error),
         DynamicError::Interrupted => Failure::Interrupted,
         error @ (DynamicError::Grouping(_)
+        | DynamicError::Bootstrap { .. }
         | DynamicError::Marginal { .. }
         | DynamicError::Expected { .. }
         | DynamicError::FixedReduction { .. }) => Failure::Dynamic(Box::new(error)),

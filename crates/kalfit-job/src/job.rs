@@ -118,6 +118,40 @@ pub struct ExchangeJob {
     pub out: Option<PathBuf>,
 }
 
+/// Whether a test draws ensembles from its hypothesis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum BootstrapChoice {
+    /// With few units and known parameters, where a draw costs no run of the filters.
+    #[default]
+    Auto,
+    /// Never.
+    None,
+    /// As many as are asked for.
+    Drawn(Bootstrap),
+}
+
+impl BootstrapChoice {
+    /// `replicates`: number that is asked for; zero for none, `None` for as many as are due.
+    pub fn of(replicates: Option<usize>, seed: u64) -> BootstrapChoice {
+        match replicates {
+            None => BootstrapChoice::Auto,
+            Some(0) => BootstrapChoice::None,
+            Some(replicates) => BootstrapChoice::Drawn(Bootstrap { replicates, seed }),
+        }
+    }
+
+    /// The ensembles that are drawn; `is_due`: whether some are drawn without being asked for.
+    pub(crate) fn resolved(self, is_due: bool) -> Option<Bootstrap> {
+        /// The p-value is then a multiple of a thousandth.
+        const REPLICATES: usize = 999;
+        match self {
+            BootstrapChoice::Auto => is_due.then_some(Bootstrap { replicates: REPLICATES, seed: 1 }),
+            BootstrapChoice::None => None,
+            BootstrapChoice::Drawn(asked) => Some(asked),
+        }
+    }
+}
+
 /// Test a hypothesis.
 #[derive(Debug, Clone)]
 pub struct TestJob {
@@ -128,7 +162,7 @@ pub struct TestJob {
     /// The hypothesis.
     pub null: Document,
     /// Ensembles to draw from it.
-    pub bootstrap: Option<Bootstrap>,
+    pub bootstrap: BootstrapChoice,
     /// File for the results.
     pub out: Option<PathBuf>,
     /// Of the searches.

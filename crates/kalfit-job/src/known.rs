@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use kalfit::estimate::{Criterion, Estimate, Progress, Settings, Structure};
+use kalfit::estimate::{Criterion, Estimate, Progress, Settings, Stop, Structure};
 use kalfit::infer::{
     Bootstrap, DfChoice, JointTest, NoJointTest, NotNested, SmallSample, at_least, bootstrap_while, fit_null,
-    likelihood_ratio,
+    has_few_units, likelihood_ratio,
 };
 use kalfit::record::{PartRecord, RatioProvenance, RatioRecord};
 use kalfit::{Alpha, Grouping, PhasedModel, Reductions, estimate};
@@ -33,7 +33,8 @@ pub(crate) fn test(
     work.go_on()?;
     let parts = bench.parts(&wide, work)?;
     work.go_on()?;
-    let drawn = match job.bootstrap {
+    let are_certified = [&null, &wide].iter().all(|estimate| estimate.stop == Stop::Certified);
+    let drawn = match job.bootstrap.resolved(are_certified && has_few_units(&wide, reductions.len())) {
         None => None,
         Some(asked) => {
             let mut goes_on = |done| drawing(work, done, asked);

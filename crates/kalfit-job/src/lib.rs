@@ -77,9 +77,9 @@ pub use failure::{Failure, SourcePlace, SourceText, UnknownUnit};
 pub use fit::fit;
 pub use instructions::{INSTRUCTIONS, fix_instructions};
 pub use job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable, ExportJob, FitJob,
-    FitTables, FoldChoice, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel,
-    PredictedUnits, ReportJob, SimulateJob, SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
+    AppliedModel, ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable,
+    ExportJob, FitJob, FitTables, FoldChoice, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob,
+    PredictedModel, PredictedUnits, ReportJob, SimulateJob, SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
 };
 pub use memory::is_there as memory_is_there;
 pub use model::read as read_model;

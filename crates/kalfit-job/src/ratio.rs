@@ -61,7 +61,7 @@ pub(crate) fn test(
     let ratio = bench.ratio((null, &narrow), &full)?;
     let parts = bench.parts(&full, work)?;
     work.go_on()?;
-    let drawn = match job.bootstrap {
+    let drawn = match job.bootstrap.resolved(false) {
         None => None,
         Some(asked) => {
             let data = (&reading.labels, &tests[..]);

@@ -72,6 +72,12 @@ pub const INTERVALS: &[OptionWord<IntervalKind>] = &[
         IntervalKind::Profile,
         "From the profile likelihood: all values that a likelihood-ratio test at 5 % does not reject",
     ),
+    word(
+        "bootstrap",
+        IntervalKind::Bootstrap,
+        "From the profile likelihood, with the quantiles of its ratios in 199 ensembles drawn from the fit in place of those of \
+         many tests; for known parameters",
+    ),
 ];
 
 /// Methods of the degrees of freedom of means.

@@ -5,13 +5,12 @@ use std::path::PathBuf;
 
 use kalfit::apply::StateKind;
 use kalfit::estimate::Solver;
-use kalfit::infer::Bootstrap;
 use kalfit::predict::{Limits, Sides};
 use kalfit_job::words;
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable, ExportJob, Failure,
-    FitJob, FoldChoice, JobDone, JobWatch, PlanJob, PredictJob, PredictedModel, SimulateJob, SimulatedEnsemble,
-    TableDestination, TestJob, ValidateJob,
+    AppliedModel, ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable,
+    ExportJob, Failure, FitJob, FoldChoice, JobDone, JobWatch, PlanJob, PredictJob, PredictedModel, SimulateJob,
+    SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
 };
 use kalfit_report::{TextStyle, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -76,7 +75,10 @@ pub(crate) fn test(
         model: model.into(),
         data: data(given)?,
         null: null.into(),
-        bootstrap: bootstrap.map(|(replicates, seed)| Bootstrap { replicates: replicates as usize, seed }),
+        bootstrap: BootstrapChoice::of(
+            bootstrap.map(|(replicates, _)| replicates as usize),
+            bootstrap.map_or(1, |(_, seed)| seed),
+        ),
         out,
         settings: settings(Solver::Newton, tolerance, passes)?,
     };

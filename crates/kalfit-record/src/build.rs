@@ -202,6 +202,7 @@ fn intervals(inference: &Inference) -> &'static str {
     match inference.intervals.kind {
         IntervalKind::Auto | IntervalKind::Wald => "wald",
         IntervalKind::Profile => "profile",
+        IntervalKind::Bootstrap => "bootstrap",
     }
 }
 

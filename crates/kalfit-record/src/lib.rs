@@ -135,7 +135,7 @@ pub struct FitRecord {
     /// How standard errors were computed: `observed`, `expected` or `sandwich`.
     #[serde(default)]
     pub std_errors: String,
-    /// How 95 % intervals were computed: `wald` or `profile`.
+    /// How 95 % intervals were computed: `wald`, `profile` or `bootstrap`.
     #[serde(default)]
     pub intervals: String,
     /// How standard errors, degrees of freedom and intervals of means and regression coefficients were computed under

@@ -36,6 +36,12 @@ pub enum DynamicError {
         /// The first free parameter.
         parameter: String,
     },
+    /// Intervals from drawn ensembles are for known parameters.
+    #[error("intervals by `bootstrap` are for known parameters: `{parameter}` is free")]
+    Bootstrap {
+        /// The first free parameter.
+        parameter: String,
+    },
     /// A test is given as a reduction, which holds for one value of each parameter, while a parameter is free.
     #[error(
         "test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free"
@@ -69,6 +75,7 @@ impl DynamicError {
             DynamicError::Expected { .. } => {
                 Some("take those from the observed information, or the sandwich, or give every parameter a value")
             }
+            DynamicError::Bootstrap { .. } => Some("take `profile`, or give every parameter a value with `--set`"),
             DynamicError::FixedReduction { .. } => {
                 Some("give the parameter the value that the reduction was made at, or give the data in its place")
             }

@@ -188,11 +188,13 @@ fn version_and_help() {
               How 95 % intervals are computed
 
               Possible values:
-              - auto:    By profiles with `--criterion reml` and at most 50 tests or units, where that
+              - auto:      By profiles with `--criterion reml` and at most 50 tests or units, where that
                 is quick; else from standard errors
-              - wald:    From standard errors
-              - profile: From the profile likelihood: all values that a likelihood-ratio test at 5 %
+              - wald:      From standard errors
+              - profile:   From the profile likelihood: all values that a likelihood-ratio test at 5 %
                 does not reject
+              - bootstrap: From the profile likelihood, with the quantiles of its ratios in 199
+                ensembles drawn from the fit in place of those of many tests; for known parameters
               
               [default: auto]
 

@@ -51,8 +51,7 @@ fn a_mean_is_tested_against_chi_squared() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: no effect at the equator
-    The data do not contradict the hypothesis: p = 0.22 by the large-sample
-    distribution.
+    The data do not contradict the hypothesis: p = 0.35 by the bootstrap.
 
     Fits to 13 tests
                   log-likelihood  free    AIC  converged
@@ -64,10 +63,7 @@ fn a_mean_is_tested_against_chi_squared() {
       χ²(1)                                    0.22
       F(1, 5.89) = 0.9642 by Kenward and       0.36
       Roger, for few tests
-
-    Notes
-      With 13 tests the large-sample distribution is a rough guide, and its p-values
-        tend to be too small; `--bootstrap 1000` does not use it.
+      bootstrap of 999, seed 1 (± 0.015)       0.35
     ----- stderr
     ");
 }
@@ -80,7 +76,7 @@ fn a_variance_of_zero_is_tested_against_a_mixture() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data contradict the hypothesis: p = 0.03 by the large-sample distribution.
+    The data contradict the hypothesis: p = 0.003 by the bootstrap.
 
     Fits to 13 tests
                   log-likelihood  free    AIC  converged
@@ -88,13 +84,10 @@ fn a_variance_of_zero_is_tested_against_a_mixture() {
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 3.57589
-      reference distribution             p-value
-      0.5 χ²(0) + 0.5 χ²(1)                 0.03
-      χ²(1), which ignores the boundary     0.06
-
-    Notes
-      With 13 tests the large-sample distribution is a rough guide, and its p-values
-        tend to be too small; `--bootstrap 1000` does not use it.
+      reference distribution               p-value
+      0.5 χ²(0) + 0.5 χ²(1)                   0.03
+      χ²(1), which ignores the boundary       0.06
+      bootstrap of 999, seed 1 (± 0.0017)    0.003
     ----- stderr
     Wrote t.json
     ");
@@ -108,8 +101,7 @@ fn mean_and_covariance_are_also_tested_apart() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data strongly contradict the hypothesis: p = 1e-5 by the large-sample
-    distribution.
+    The data contradict the hypothesis: p = 0.001 by the bootstrap.
 
     Fits to 13 tests
                   log-likelihood  free    AIC  converged
@@ -117,19 +109,18 @@ fn mean_and_covariance_are_also_tested_apart() {
       model           -7.6856655     3  21.37        yes
 
     -2 log λ = 21.5449
-      reference distribution             p-value
-      0.5 χ²(1) + 0.5 χ²(2)                 1e-5
-      χ²(2), which ignores the boundary     2e-5
+      reference distribution              p-value
+      0.5 χ²(1) + 0.5 χ²(2)                  1e-5
+      χ²(2), which ignores the boundary      2e-5
+      bootstrap of 999, seed 1 (± 0.001)    0.001
+      No draw was as extreme as the data: with more draws the p-value may be
+        smaller.
 
     Mean and covariance separately
       hypothesis on     -2 log λ  df  p-value
       mean alone          1.5294   1     0.22
       covariance alone    3.5759   1     0.03
       both                21.545   2     1e-5
-
-    Notes
-      With 13 tests the large-sample distribution is a rough guide, and its p-values
-        tend to be too small; `--bootstrap 1000` does not use it.
     ----- stderr
     ");
 }
@@ -142,7 +133,7 @@ fn a_hypothesis_without_a_regression_is_within_the_model() {
     BCG vaccine against tuberculosis, log risk ratios
 
     Hypothesis: h.toml
-    The data contradict the hypothesis: p = 0.002 by the large-sample distribution.
+    The data contradict the hypothesis: p = 0.008 by the bootstrap.
 
     Fits to 13 tests
                   log-likelihood  free    AIC  converged
@@ -154,12 +145,17 @@ fn a_hypothesis_without_a_regression_is_within_the_model() {
       χ²(1)                                   0.002
       F(1, 6.5) = 15.34 by Kenward and        0.007
       Roger, for few tests
-
-    Notes
-      With 13 tests the large-sample distribution is a rough guide, and its p-values
-        tend to be too small; `--bootstrap 1000` does not use it.
+      bootstrap of 999, seed 1 (± 0.0028)     0.008
     ----- stderr
     ");
+}
+
+#[test]
+fn few_tests_draw_ensembles_without_being_asked() {
+    let (_, found) = json(BOTH, "");
+    assert_eq!((&found["bootstrap"]["replicates"], &found["bootstrap"]["seed"]), (&999.into(), &1.into()));
+    let (_, none) = json(BOTH, "--bootstrap 0");
+    assert!(none["bootstrap"].is_null());
 }
 
 #[test]
@@ -267,7 +263,7 @@ fn a_set_parameter_is_set_on_both_sides() {
     Gyros on a turntable
 
     Hypothesis: h.toml
-    The data contradict the hypothesis: p = 0.03 by the large-sample distribution.
+    The data do not contradict the hypothesis: p = 0.06 by the bootstrap.
 
     Fits to 6 tests
                   log-likelihood  free      AIC  converged
@@ -279,10 +275,7 @@ fn a_set_parameter_is_set_on_both_sides() {
       χ²(1)                                    0.03
       F(1, 5.12) = 6.522 by Kenward and        0.05
       Roger, for few tests
-
-    Notes
-      With 6 tests the large-sample distribution is a rough guide, and its p-values
-        tend to be too small; `--bootstrap 1000` does not use it.
+      bootstrap of 999, seed 1 (± 0.0075)      0.06
     ----- stderr
     ");
     folder.write("h.toml", b"[mean]\nfixed = { bias = 0.5, scale = 300 }\n[parameters]\ntau = 100\n");
@@ -466,19 +459,11 @@ fn wrong_options_are_refused() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(test("--null h.toml --bootstrap 0"), @"
-    exit 2
-    ----- stdout
-    ----- stderr
-    error: invalid value '0' for '--bootstrap <N>': 0 is not in 1..=1000000
-
-    For more information, try '--help'.
-    ");
     assert_snapshot!(test("--null h.toml --bootstrap 1000001"), @"
     exit 2
     ----- stdout
     ----- stderr
-    error: invalid value '1000001' for '--bootstrap <N>': 1000001 is not in 1..=1000000
+    error: invalid value '1000001' for '--bootstrap <N>': 1000001 is not in 0..=1000000
 
     For more information, try '--help'.
     ");
@@ -558,8 +543,9 @@ fn help_shows_an_example() {
 
     Options:
           --null <NULL>         File of the hypothesis (TOML)
-          --bootstrap <N>       Also draw this many ensembles from the hypothesis and repeat the test in
-                                each: a p-value without large-sample theory
+          --bootstrap <N>       Draw this many ensembles from the hypothesis and repeat the test in
+                                each: a p-value without large-sample theory; 0 for none [default: 999
+                                with at most 50 tests or units and known parameters]
           --seed <S>            Seed of the bootstrap [default: 1]
           --tolerance <T>       Stop within this many standard errors of the optimum [default: 1e-8]
           --max-iterations <N>  Stop a fit after this many iterations [default: 200]

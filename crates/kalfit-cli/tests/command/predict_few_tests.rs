@@ -72,6 +72,45 @@ fn tests_that_do_not_seem_to_differ_have_limits() {
     assert!(half("tolerance") > half("confidence"));
 }
 
+/// Of the mean of six tests the interval with a drawn quantile is wider than that by χ²; free parameters have none.
+#[test]
+fn intervals_with_drawn_quantiles_are_wider_with_few_tests() {
+    let model = |s: &str| {
+        format!(
+            "[data]\ntest = \"test\"\n[states]\nlevel = {{}}\n[measurements.y]\ncolumn = \"y\"\nequation = \"level\"\n\
+             noise = \"s\"\n[parameters]\ns = {s}\n"
+        )
+    };
+    let row = |(j, k): (u32, u32)| format!("t{j:02},{}\n", 2.0 + 1.3 * wave(j + 7) + 0.5 * wave(50 * j + k + 900));
+    let rows: String = (0..6).flat_map(|j| (0..1 + j % 4).map(move |k| (j, k))).map(row).collect();
+    let known = model("0.5");
+    let free = model("{}");
+    let data = format!("test,y\n{rows}");
+    let files = [("m.toml", &known), ("free.toml", &free), ("d.csv", &data)];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    let fit = |kind: &str, more: &str| -> Value {
+        let output = folder.run(&format!("fit m.toml d.csv --intervals {kind} --out fit.json {more}"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        let fit: Value = serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap();
+        assert_eq!(fit["intervals"], kind);
+        fit["phases"][0].clone()
+    };
+    let [drawn, plain] = ["bootstrap", "profile"].map(|kind| fit(kind, ""));
+    let ends = |phase: &Value, of: &str| [0, 1].map(|end| phase[of]["interval95"][0][end].as_f64().unwrap());
+    let ([low, high], [lower, upper]) = (ends(&drawn, "mean"), ends(&plain, "mean"));
+    assert!(low < lower && high > upper, "mean: {low} to {high} against {lower} to {upper}");
+    let ([_, high], [_, upper]) = (ends(&drawn, "std_dev"), ends(&plain, "std_dev"));
+    assert!((0.5..1.5).contains(&(high / upper)) && high != upper, "std dev: {high} against {upper}");
+    assert_eq!(fit("bootstrap", "--threads 1"), drawn, "same bits for any number of threads");
+    let output = folder.run("fit free.toml d.csv --intervals bootstrap");
+    assert_eq!(output.status.code(), Some(2), "{}", shown(&output));
+    assert!(
+        shown(&output).contains("intervals by `bootstrap` are for known parameters: `s` is free"),
+        "{}",
+        shown(&output)
+    );
+}
+
 /// Units of unequal tests with a covariate: h, ν_h and the error of the mean from matrices of all measurements.
 #[test]
 fn degrees_of_freedom_of_a_new_test_are_those_of_the_joint_gaussian() {

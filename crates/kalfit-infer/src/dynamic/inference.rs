@@ -29,6 +29,10 @@ pub fn infer(
     choices: Choices,
     progress: &mut dyn Progress,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
+    if choices.intervals == IntervalKind::Bootstrap {
+        let parameter = model.shared().parameters[fit.slots.slots()[0].parameter].name.clone();
+        return Err(DynamicError::Bootstrap { parameter });
+    }
     let progress = &SharedProgress::new(progress, Some(model));
     let ml = fit.estimate.criterion == Criterion::Ml;
     let objective = match fit.reductions.remote() {

@@ -9,6 +9,7 @@
 use std::collections::BTreeSet;
 
 use crate::dynamic::held_profile::{HeldProfile, WarmStart};
+use crate::interval::QUANTILE;
 use crate::{Holdable, Inference, IntervalKind, SharedProgress, free, profiled, quantities};
 use kalfit_estimate::{Criterion, Estimate};
 use kalfit_model::{CovarianceKind, Expression};
@@ -51,7 +52,8 @@ pub(crate) fn profiles(
     intervals.unprofiled = requested.iter().filter(|what| !is_done(what)).count();
     let outer = HeldProfile::new((objective, fit), estimate, covariances);
     let start = WarmStart::best(fit, estimate);
-    intervals.compute_profiles((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);
+    let quantiles = vec![QUANTILE; wanted.len()];
+    intervals.compute_profiles((estimate, &inference.uncertainty), (&wanted, &quantiles), (&outer, &start), progress);
 }
 
 /// Off-diagonal elements of Σ that depend on parameters in matrices of the covariance structure.

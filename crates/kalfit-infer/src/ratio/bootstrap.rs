@@ -141,7 +141,7 @@ pub(super) fn select_covariates(reductions: &Reductions, regression_indices: &[u
 }
 
 /// A certified fit from the true values or, when that fails, from a start computed from the data.
-fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
+pub(super) fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let from_truth = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
     from_truth
@@ -150,7 +150,7 @@ fn certified(state: &FinalState, reductions: &Reductions, start: &Population) ->
 }
 
 /// Draws new data for the tests of `reductions`.
-struct Draw<'a> {
+pub(super) struct Draw<'a> {
     reductions: &'a Reductions,
     /// Indices of the tests in the order of the tests' ids, so that draws do not depend on the order of the tests.
     order: Vec<usize>,
@@ -162,7 +162,7 @@ struct Draw<'a> {
 }
 
 impl<'a> Draw<'a> {
-    fn new(null: &'a Estimate, reductions: &'a Reductions, regression_indices: &'a [usize]) -> Draw<'a> {
+    pub(super) fn new(null: &'a Estimate, reductions: &'a Reductions, regression_indices: &'a [usize]) -> Draw<'a> {
         let mut order: Vec<usize> = (0..reductions.len()).collect();
         order.sort_by(|&a, &b| reductions.get(a).test.cmp(reductions.get(b).test));
         let levels = null.grouping().map_or(1, |grouping| grouping.depth() + 1);
@@ -171,7 +171,8 @@ impl<'a> Draw<'a> {
         Draw { reductions, order, null, regression_indices, roots: (0..levels).map(root).collect() }
     }
 
-    fn ensemble(&self, random: &mut ChaCha8Rng) -> Reductions {
+    /// New data for every test.
+    pub(super) fn ensemble(&self, random: &mut ChaCha8Rng) -> Reductions {
         let mut drawn = self.reductions.select(&self.order);
         let mut groups: BTreeMap<(usize, usize), DVector<f64>> = BTreeMap::new();
         for number in 0..drawn.len() {

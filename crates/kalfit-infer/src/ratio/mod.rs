@@ -1,6 +1,7 @@
 //! Likelihood-ratio tests of nested hypotheses (theory §9; Shumway, Olsen and Levy): -2 log λ and the law of -2 log λ.
 
 mod bootstrap;
+pub(crate) mod calibrated;
 mod cone;
 mod law;
 mod nested;

@@ -51,7 +51,7 @@ fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut PageCharts, pa
         @if let Some(sentence) = places::elsewhere(record) { p { (sentence) } }
         (PreEscaped(rest))
         p.hint { "± " (states::std_error(&record.std_errors)) "; intervals are 95 %, "
-            (if record.intervals == "profile" { "by profile likelihood" } else { "by standard errors" }) "." }
+            (by_intervals(&record.intervals)) "." }
         (matrices(one))
         @if let Some(unit) = places::innermost(record) { p.hint { "Σ is the covariance within one " (unit) "." } }
         (phase::elements(one, page))
@@ -146,4 +146,13 @@ fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Page
     let data = json!({ "names": names, "cells": cells });
     let title = format!("{name}Correlations{}", places::within(record));
     Some(charts.figure(PageChart { kind: "heat", title: &title, caption: &caption, alternative: &alternative, data }))
+}
+
+/// How intervals were computed, after "intervals are".
+fn by_intervals(kind: &str) -> &'static str {
+    match kind {
+        "profile" => "by profile likelihood",
+        "bootstrap" => "by profile likelihood, with quantiles from drawn ensembles",
+        _ => "by standard errors",
+    }
 }

@@ -25,9 +25,11 @@ pub(crate) fn section(
     title: &dyn Fn(&str) -> String,
     page: &PageLayout<'_>,
 ) -> String {
-    if record.intervals != "profile" {
-        return String::new();
-    }
+    let how = match record.intervals.as_str() {
+        "profile" => "95 % intervals by profile likelihood",
+        "bootstrap" => "95 % intervals by profile likelihood, with quantiles from drawn ensembles",
+        _ => return String::new(),
+    };
     let mut rows = of_mean(phase);
     rows.extend(of_spread(phase.into(), places::within(record).trim_start()));
     for (level, place) in places::outer(record) {
@@ -48,7 +50,7 @@ pub(crate) fn section(
     if rows.iter().any(|row| row.ends.iter().any(|end| end == OPEN)) {
         body += &page.items(&[format!("{OPEN} no limit was found on this side.")]);
     }
-    page.section(&title("95 % intervals by profile likelihood"), &body)
+    page.section(&title(how), &body)
 }
 
 fn of_mean(phase: &PhaseRecord) -> Vec<IntervalRow> {

@@ -165,7 +165,7 @@ fn refuse_choices(asks: &Asks, slots: &Slots) -> Result<(), ShardError> {
         StdErrors::Expected if !slots.is_empty() => {
             Err(ShardError::StdErrors { found: "expected information beside free parameters" })
         }
-        _ if asks.intervals == IntervalKind::Profile => Err(ShardError::Profiles),
+        _ if matches!(asks.intervals, IntervalKind::Profile | IntervalKind::Bootstrap) => Err(ShardError::Profiles),
         _ => Ok(()),
     }
 }
