@@ -12,8 +12,11 @@ from kalfit._data import Data, Table, TableLike
 from kalfit._estimates import Estimate, Parameter, Parameters
 from kalfit._fit import Fit, Interrupted, apply, predict
 from kalfit._fitting import Ensemble, fit
+from kalfit._formula_model import FormulaModel, model_from_formula
 from kalfit._jobs import check, compare, datasheet, estimates, export, plan, reduce, simulate, test, validate
 from kalfit._kalfit import DataError, Error, FitError, ModelError, version
+from kalfit._labelled import Labelled
+from kalfit._lmm import lmm
 from kalfit._model import Model, ModelLike
 from kalfit._population import Level, Phase
 from kalfit._progress import Step
@@ -30,6 +33,7 @@ from kalfit._results import (
     Validation,
 )
 from kalfit._test_fits import GroupFit, TestFit
+from kalfit._warnings import ConvergenceWarning, FormulaWarning
 
 __version__ = version()
 
@@ -37,6 +41,7 @@ __all__ = [
     "Applied",
     "Check",
     "Comparison",
+    "ConvergenceWarning",
     "Data",
     "DataError",
     "Datasheet",
@@ -46,8 +51,11 @@ __all__ = [
     "Filter",
     "Fit",
     "FitError",
+    "FormulaModel",
+    "FormulaWarning",
     "GroupFit",
     "Interrupted",
+    "Labelled",
     "Level",
     "Model",
     "ModelError",
@@ -72,6 +80,8 @@ __all__ = [
     "estimates",
     "export",
     "fit",
+    "lmm",
+    "model_from_formula",
     "plan",
     "predict",
     "reduce",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol, Union, runtime_checkable
+
+import numpy as np
 
 from kalfit._kalfit import Table as _Table
 
-__all__ = ["Data", "Table", "TableLike", "as_data"]
+__all__ = ["Data", "Table", "TableLike", "as_data", "table_columns"]
 
 
 @runtime_checkable
@@ -19,15 +22,18 @@ class TableLike(Protocol):
         """A capsule with an Arrow C stream."""
 
 
-_One = Union[TableLike, str, "os.PathLike[str]"]
+#: A table, a path or a pattern of paths, or a dictionary of columns.
+_One = Union[TableLike, str, "os.PathLike[str]", Mapping[str, Any]]
 Data = Union[_One, Sequence[_One]]
+#: Whole numbers beyond this are not all numbers of the compiled part.
+_EXACT = 2**53
 
 
 def as_data(data: Data | None, name: str = "data") -> list[str | tuple[str, Any]]:
     """Each datum for the compiled part: the name of a file or a pattern, or what messages call a table, and the table."""
     if data is None:
         return []
-    if isinstance(data, (str, os.PathLike)) or hasattr(data, "__arrow_c_stream__"):
+    if isinstance(data, (str, os.PathLike, Mapping)) or hasattr(data, "__arrow_c_stream__"):
         return [_one(data, name)]
     if isinstance(data, Iterable):
         return [_one(datum, f"{name}[{index}]") for index, datum in enumerate(data)]
@@ -42,9 +48,39 @@ def _one(datum: Any, name: str) -> str | tuple[str, Any]:
         return path
     if hasattr(datum, "__arrow_c_stream__"):
         return (name, datum)
+    if isinstance(datum, Mapping):
+        return (name, _table_of_dictionary(datum, name))
     raise TypeError(
-        f"{name} is of type {type(datum).__name__}, expected a path or a table of polars, pandas (2.2 or newer) or pyarrow"
+        f"{name} is of type {type(datum).__name__}, expected a path or a table of polars, pandas (2.2 or newer) or pyarrow, "
+        "or a dictionary of columns"
     )
+
+
+def _table_of_dictionary(columns: Mapping[str, Any], name: str) -> _Table:
+    """A dictionary of columns, each of numbers or of texts, as a table."""
+    texts: list[tuple[str, list[str]]] = []
+    numbers: list[tuple[str, bytes]] = []
+    rows: dict[str, int] = {}
+    for column, given in columns.items():
+        if isinstance(given, (str, bytes)) or not isinstance(given, Iterable):
+            raise TypeError(f"{name}, column {column!r} is of type {type(given).__name__}, expected a list or an array")
+        values = list(given.tolist() if isinstance(given, np.ndarray) else given)
+        rows[str(column)] = len(values)
+        known = [value for value in values if value is not None and not (isinstance(value, float) and math.isnan(value))]
+        if any(isinstance(value, int) and abs(value) > _EXACT for value in known):  # names, such as serial numbers
+            known = values = ["" if value is None else str(value) for value in values]
+        if all(isinstance(value, str) for value in known) and known:
+            texts.append((str(column), [value if isinstance(value, str) else "" for value in values]))
+        elif all(isinstance(value, (int, float, np.integer, np.floating)) for value in known):
+            missing = [float("nan") if value is None else float(value) for value in values]
+            numbers.append((str(column), np.array(missing, dtype=np.float64).tobytes()))
+        else:
+            kinds = ", ".join(sorted({type(value).__name__ for value in known}))
+            raise TypeError(f"{name}, column {column!r} has values of type {kinds}, expected all texts or all numbers")
+    if len({*rows.values()}) > 1:
+        lengths = ", ".join(f"{column!r} {count}" for column, count in rows.items())
+        raise ValueError(f"{name} has columns of different lengths: {lengths}")
+    return _Table.columns(texts, numbers)
 
 
 class Table:
@@ -95,3 +131,28 @@ class Table:
     def to_pandas(self) -> Any:
         """The table as a ``pandas.DataFrame``; this takes pyarrow too."""
         return self.to_pyarrow().to_pandas()
+
+
+def table_columns(table: Any, names: Sequence[str]) -> dict[str, list[Any]]:
+    """Columns of a table or of a dictionary as lists; a table that is known by its Arrow stream only takes pyarrow or polars."""
+    if isinstance(table, Mapping):
+        return {name: list(table[name]) for name in names}
+    if isinstance(table, Table) or not hasattr(table, "columns") or not hasattr(table, "__getitem__"):
+        table = _known_table(table)
+    found = {}
+    for name in names:
+        column = table[name]
+        as_list = next(getattr(column, word) for word in ("to_pylist", "to_list", "tolist") if hasattr(column, word))
+        found[name] = list(as_list())
+    return found
+
+
+def _known_table(table: TableLike) -> Any:
+    """A table of pyarrow, or of polars where there is no pyarrow."""
+    try:
+        import pyarrow
+    except ImportError:
+        import polars
+
+        return polars.DataFrame(table)
+    return pyarrow.table(table)

@@ -120,6 +120,16 @@ class FitRecord:
         """Every number of the fit by its name: ``fit.estimates["mean[bias]"].interval95``."""
         return {row["name"]: estimate_of(row) for row in json.loads(self._results.quantities())}
 
+    def _is_positive(self, own: Estimate) -> bool:
+        """Whether a number cannot be negative: a standard deviation, a variance, a parameter that is used as one."""
+        if own.kind == "parameter":
+            name = f"parameter `{own.name.split('[')[0]}`"
+            return any(words.startswith(name) and "not negative" in words for words in self._record.get("model") or [])
+        if own.kind == "covariance":
+            first, second = own.name[own.name.index("[") + 1 : -1].split(", ")
+            return first == second
+        return own.kind == "std_dev"
+
     @property
     def constraints(self) -> list[dict[str, Any]]:
         """Each constrained element and what the constraint costs."""

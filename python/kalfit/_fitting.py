@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from kalfit import _kalfit
 from kalfit._arrays import Builder, PerTest, measured_tests, per_row, start_offsets_per_row
 from kalfit._data import Data, Table, as_data
-from kalfit._fit import Fit, Interrupted
+from kalfit._fit import Fit, Interrupted, warn_unless_converged
 from kalfit._given import Set, file_name, model_text
+from kalfit._made import Made
 from kalfit._model import Model, ModelLike, Path
 from kalfit._numbers import Array
 from kalfit._progress import Progress, how
@@ -172,7 +173,7 @@ def fit(
     solver: Literal["newton", "em"] = "newton",
     criterion: Literal["ml", "reml"] = "ml",
     phases: Literal["chain", "marginal", "stacked"] = "chain",
-    intervals: Literal["auto", "wald", "profile"] = "auto",
+    intervals: Literal["auto", "wald", "profile", "bootstrap"] = "auto",
     df: Literal["kenward-roger", "satterthwaite", "none"] | None = None,
     std_errors: Literal["observed", "expected", "sandwich"] = "observed",
     deletion: Literal["auto", "all", "none"] = "auto",
@@ -198,7 +199,7 @@ def fit(
     default. ``progress=True`` writes a line to standard error; a function is called
     with a :class:`kalfit.Step` instead.
 
-    The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
+    A fit that did not converge comes with a :class:`kalfit.ConvergenceWarning`. The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
     :class:`kalfit.Interrupted`, with the best fit so far.
 
     >>> import kalfit
@@ -237,11 +238,12 @@ def fit(
         "max_iterations": max_iterations,
         "report": file_name(report),
     }
-    found, interrupted = _kalfit.fit(
-        model_text(model, set), as_data(data), file_name(out), options, how(threads, progress)
-    )
+    with how(threads, progress) as told:
+        found, interrupted = _kalfit.fit(model_text(model, set), as_data(data), file_name(out), options, told)
     result = Fit(found)
-    result._made_with = (model, set)
+    kept = {name: value for name, value in options.items() if name != "report"} | {"threads": threads}
+    result._made = Made(model, set, data, kept, fit)
     if interrupted:
         raise Interrupted(result)
+    warn_unless_converged(result)
     return result

@@ -37,7 +37,8 @@ def check(
     >>> print(found.summary().splitlines()[0])
     Gyros on two bench stations
     """
-    made, words, notes = _kalfit.check(model_text(model, set), as_data(data), how(threads, progress))
+    with how(threads, progress) as told:
+        made, words, notes = _kalfit.check(model_text(model, set), as_data(data), told)
     return Check(made, notes, words)
 
 
@@ -58,7 +59,8 @@ def test(
     """Tests a hypothesis within a model by the ratio of the likelihoods.
 
     ``null`` is a file with ``[mean]``, ``[covariance]`` or ``[parameters]``, or a dictionary of these: its keys replace the
-    model's. ``bootstrap`` draws that many ensembles from the hypothesis, with ``seed``.
+    model's. ``bootstrap`` draws that many ensembles from the hypothesis, with ``seed``; 0 draws none. ``None`` draws 999
+    from seed 1 where at most 50 tests or units have known parameters.
 
     >>> import kalfit
     >>> found = kalfit.test(
@@ -68,16 +70,17 @@ def test(
     True
     """
     hypothesis = text_beside(null, "the hypothesis")
-    if bootstrap is not None and not 1 <= bootstrap <= 1_000_000:
-        raise ValueError(f"bootstrap is {bootstrap}, expected a number from 1 to 1000000, or None")
-    made, notes = _kalfit.test(
-        model_text(model, set),
-        as_data(data),
-        hypothesis,
-        (None if bootstrap is None else (bootstrap, seed), tolerance, max_iterations),
-        file_name(out),
-        how(threads, progress),
-    )
+    if bootstrap is not None and not 0 <= bootstrap <= 1_000_000:
+        raise ValueError(f"bootstrap is {bootstrap}, expected a number from 0 to 1000000, or None")
+    with how(threads, progress) as told:
+        made, notes = _kalfit.test(
+            model_text(model, set),
+            as_data(data),
+            hypothesis,
+            (None if bootstrap is None else (bootstrap, seed), tolerance, max_iterations),
+            file_name(out),
+            told,
+        )
     return RatioTest(made, notes)
 
 
@@ -109,14 +112,15 @@ def simulate(
     """
     if tests is not None and not 1 <= tests <= 1_000_000_000:
         raise ValueError(f"tests is {tests}, expected a number from 1 to 1000000000, or None")
-    data, count, rows, states, column, notes = _kalfit.simulate(
-        model_text(model, set),
-        source_text(source),
-        as_data(design, "design"),
-        (tests, seed),
-        (file_name(out), file_name(truth)),
-        how(threads, progress),
-    )
+    with how(threads, progress) as told:
+        data, count, rows, states, column, notes = _kalfit.simulate(
+            model_text(model, set),
+            source_text(source),
+            as_data(design, "design"),
+            (tests, seed),
+            (file_name(out), file_name(truth)),
+            told,
+        )
     return Simulation(table_of(data), table_of(states), (count, rows), column, notes)
 
 
@@ -147,14 +151,15 @@ def validate(
     """
     if folds < 2:
         raise ValueError(f"folds is {folds}, expected 2 or more")
-    made, notes = _kalfit.validate(
-        model_text(model, set),
-        as_data(data),
-        (None if by is not None else (folds, seed), by, criterion),
-        None if against is None else source_text(against),
-        file_name(out),
-        how(threads, progress),
-    )
+    with how(threads, progress) as told:
+        made, notes = _kalfit.validate(
+            model_text(model, set),
+            as_data(data),
+            (None if by is not None else (folds, seed), by, criterion),
+            None if against is None else source_text(against),
+            file_name(out),
+            told,
+        )
     return Validation(made, notes)
 
 
@@ -214,14 +219,15 @@ def datasheet(
     if step is not None and data is not None:
         raise ValueError("step is given beside data, whose records have steps of their own: leave one of them out")
     fixed = [f"{column}={value}" for column, value in (at or {}).items()]
-    made, notes = _kalfit.datasheet(
-        model_text(model, set),
-        source_text(source),
-        [] if data is None else as_data(data),
-        (step, fixed),
-        file_name(out),
-        how(threads, progress),
-    )
+    with how(threads, progress) as told:
+        made, notes = _kalfit.datasheet(
+            model_text(model, set),
+            source_text(source),
+            [] if data is None else as_data(data),
+            (step, fixed),
+            file_name(out),
+            told,
+        )
     return Datasheet(made, notes)
 
 
@@ -275,14 +281,15 @@ def plan(
     in_groups = [(str(level), [int(count) for count in own]) for level, own in (groups or {}).items()]
     if not all(own and all(1 <= count <= 1_000_000 for count in own) for _, own in in_groups):
         raise ValueError(f"groups is {groups!r}, expected numbers from 1 to 1000000")
-    made, notes = _kalfit.plan(
-        model_text(model, set),
-        source_text(source),
-        as_data(design, "design"),
-        (counts, in_groups),
-        file_name(out),
-        how(threads, progress),
-    )
+    with how(threads, progress) as told:
+        made, notes = _kalfit.plan(
+            model_text(model, set),
+            source_text(source),
+            as_data(design, "design"),
+            (counts, in_groups),
+            file_name(out),
+            told,
+        )
     return Plan(made, notes)
 
 
@@ -309,7 +316,8 @@ def reduce(
     >>> kalfit.fit(model, reductions).log_likelihood == kalfit.fit(model, data).log_likelihood
     True
     """
-    return _exchange("reductions", (model, set), data, at, out, how(threads, progress))
+    with how(threads, progress) as told:
+        return _exchange("reductions", (model, set), data, at, out, told)
 
 
 def estimates(
@@ -326,7 +334,8 @@ def estimates(
 
     As :func:`reduce`, in the form that any filter's estimates can be given in.
     """
-    return _exchange("estimates", (model, set), data, at, out, how(threads, progress))
+    with how(threads, progress) as told:
+        return _exchange("estimates", (model, set), data, at, out, told)
 
 
 def _exchange(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Union
 
-__all__ = ["How", "Progress", "Step", "how", "write_progress"]
+__all__ = ["How", "Progress", "Step", "how", "telling"]
 
 
 class Step(str):
@@ -42,18 +43,41 @@ Progress = Union[bool, Callable[[Step], object]]
 How = tuple[Union[int, None], Union[Callable[[str, Union[int, None], Union[int, None]], object], None]]
 
 
-def write_progress(step: Step) -> None:
-    """Writes a line to standard error, over the one before."""
-    share = "" if step.share is None else f", {100 * step.share:.0f} %"
-    sys.stderr.write(f"\r{(step + share)[:110]:<110}")
-    sys.stderr.flush()
+class _Line:
+    """A line on standard error that is written over and over, and ends with the job."""
+
+    def __init__(self) -> None:
+        self._written = False
+
+    def write(self, step: Step) -> None:
+        share = "" if step.share is None else f", {100 * step.share:.0f} %"
+        sys.stderr.write(f"\r{(step + share)[:110]:<110}")
+        sys.stderr.flush()
+        self._written = True
+
+    def end(self) -> None:
+        if self._written:
+            sys.stderr.write("\n")
+            sys.stderr.flush()
 
 
-def how(threads: int | None, progress: Progress) -> How:
+@contextmanager
+def telling(progress: Progress) -> Iterator[Callable[[Step], object] | None]:
+    """Who is told how far a job is; a line on standard error ends with the job."""
+    if progress is not True:
+        yield progress or None
+        return
+    line = _Line()
+    try:
+        yield line.write
+    finally:
+        line.end()
+
+
+@contextmanager
+def how(threads: int | None, progress: Progress) -> Iterator[How]:
     """How the compiled part does a job: with these threads, and telling this progress."""
     if threads is not None and not 1 <= threads <= 1024:
         raise ValueError(f"threads is {threads}, expected a number from 1 to 1024, or None for all processors")
-    if progress is False:
-        return (threads, None)
-    told = write_progress if progress is True else progress
-    return (threads, lambda words, done, of: told(Step(words, done, of)))
+    with telling(progress) as told:
+        yield (threads, None if told is None else lambda words, done, of: told(Step(words, done, of)))

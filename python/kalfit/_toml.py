@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-__all__ = ["dumps"]
+__all__ = ["dumps", "loads", "quoted"]
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -33,6 +35,17 @@ def dumps(model: Mapping[str, object]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def loads(text: str) -> dict[str, Any]:
+    """The tables of a model file."""
+    for name in ("tomllib", "tomli"):  # the first is part of Python 3.11 and newer
+        try:
+            tables: dict[str, Any] = importlib.import_module(name).loads(text)
+        except ImportError:
+            continue
+        return tables
+    raise ImportError("to read a model file in Python 3.10 takes the package tomli: pip install tomli")
+
+
 def _phase(name: str, phase: object) -> list[str]:
     if not isinstance(phase, Mapping):
         raise TypeError(f"phase {name!r} is of type {type(phase).__name__}, expected a dictionary")
@@ -51,10 +64,11 @@ def _table(path: tuple[str, ...], table: Mapping[object, object]) -> list[str]:
 def _key(key: object) -> str:
     if not isinstance(key, str):
         raise TypeError(f"the key {key!r} is of type {type(key).__name__}, expected a text")
-    return key if _BARE.fullmatch(key) else _text(key)
+    return key if _BARE.fullmatch(key) else quoted(key)
 
 
-def _text(text: str) -> str:
+def quoted(text: str) -> str:
+    """A text in quotes."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -65,7 +79,7 @@ def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return _text(value)
+        return quoted(value)
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, Mapping):

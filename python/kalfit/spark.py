@@ -17,15 +17,16 @@ import json
 import sys
 import uuid
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 from kalfit import _kalfit
 from kalfit._data import Table
-from kalfit._fit import Fit
+from kalfit._fit import Fit, warn_unless_converged
 from kalfit._given import Set, source_text
+from kalfit._made import Made
 from kalfit._model import Model, ModelLike, Path, as_model, assignments
-from kalfit._progress import Progress, Step, how, write_progress
+from kalfit._progress import Progress, Step, telling
 
 __all__ = ["apply", "fit", "reduce"]
 
@@ -91,21 +92,29 @@ def fit(
     document = (known._document(), values)
     theta, asked = _kalfit.first_theta(document)
     packed = _packed(known, frame, [] if reduced else _order(known, frame, order_by), partitions, reduced)
-    ask = _Rounds(packed, document)
-    tell = write_progress if progress is True else progress or None
     try:
-        for round in range(1, sys.maxsize):
-            if tell is not None:
-                tell(Step(f"round {round}: sums over the tests"))
-            after, results = _kalfit.join(document, criterion, theta, ask.sums(asked), how(None, False))
-            if results is not None:
-                found = Fit(results)
-                found._made_with = (model, set)
-                return found
-            assert after is not None, "a search goes on, or it has ended"
-            theta, asked = after
+        with telling(progress) as told:
+            found = _searched(document, criterion, (theta, asked), _Rounds(packed, document), told)
     finally:
         packed.unpersist()
+    found._made = Made(model, set, None, {}, None)
+    warn_unless_converged(found)
+    return found
+
+
+def _searched(
+    document: tuple[_Text, list[str]], criterion: str, first: tuple[str, str], ask: _Rounds, told: Callable[[Step], object] | None
+) -> Fit:
+    """The fit, after as many rounds as it takes."""
+    theta, asked = first
+    for round in range(1, sys.maxsize):
+        if told is not None:
+            told(Step(f"round {round}: sums over the tests"))
+        after, results = _kalfit.join(document, criterion, theta, ask.sums(asked), (None, None))
+        if results is not None:
+            return Fit(results)
+        assert after is not None, "a search goes on, or it has ended"
+        theta, asked = after
     raise AssertionError("a search ends")
 
 

@@ -42,6 +42,18 @@ except (kalfit.ModelError, kalfit.DataError, kalfit.FitError) as error:
 interval: tuple[float | None, float | None] = fit.estimates["mean[bias]"].interval95
 tables: list[kalfit.Table] = [fit.tidy(), fit.glance(), fit.augment(), fit.conf_int()]
 ends: list[object] = fit.phases[0].correlation_interval95.tolist()
+mixed: kalfit.Fit = kalfit.lmm("y ~ x + (1 | unit)", {"unit": ["a", "b"], "x": [1.0, 2.0], "y": [1, 2]}, reml=False, weights="w")
+made: kalfit.FormulaModel = kalfit.model_from_formula("y ~ x + (1 | unit)", table)
+made.save("folder")
+terms: dict[str, str] = made.terms
+covariance: kalfit.Labelled = mixed.vcov()
+variance: float = covariance["mean[x]", "mean[x]"] + float(np.asarray(covariance).sum())
+mixed.update(formula="y ~ (1 | unit)", set={"sigma": 1}).conf_int(0.9, "wald").to_polars()
+residuals: list[float] = (mixed.resid() + mixed.fitted("y", data=table)).tolist()
+density: float = mixed.apply(table, states="filtered").log_density
+told_of: kalfit.Table | None = mixed.predict("design.csv", outputs={"sum": "a + b"}, confidence=0.95).table
+mixed.plot("forest").savefig("forest.png")
+print(mixed.summary(100, level=0.9), mixed.tidy("broom"), mixed.augment(by="row"))
 
 
 def told(step: kalfit.Step) -> None:

@@ -1,0 +1,116 @@
+"""Models from formulas in lme4's words: random terms become states, grouping factors levels and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from kalfit._data import Data
+from kalfit._formula_columns import formulaic
+from kalfit._formula_maker import Maker
+from kalfit._formula_text import parse
+from kalfit._formula_words import model_file
+from kalfit._model import Model, Path
+from kalfit._warnings import FormulaWarning, warn
+
+__all__ = ["FormulaModel", "model_from_formula"]
+
+
+class FormulaModel:
+    """A formula as a model of kalfit, with the data that it takes. Made by :func:`model_from_formula`.
+
+    Printed, it is the text of the model file.
+    """
+
+    def __init__(self, maker: Maker) -> None:
+        #: The formula.
+        self.formula: str = maker.text.text
+        #: The model.
+        self.model: Model = Model.from_text(model_file(maker.parts), f"formula `{maker.text.text}`")
+        #: The rows without missing values as a ``pandas.DataFrame``, with the columns that were made for the model.
+        self.data: Any = maker.frame.reset_index(drop=True)
+        #: The place of each of these rows in the data that were given, from 0.
+        self.rows: np.ndarray[Any, np.dtype[np.intp]] = maker.frame.index.to_numpy(dtype=np.intp)
+        #: Number of rows that were given.
+        self.rows_given: int = maker.rows_given
+        #: What each state is in the formula: ``{"kind_b": "kind[T.b]"}``.
+        self.terms: dict[str, str] = dict(maker.terms)
+        #: States with a mean that is estimated: the fixed effects.
+        self.fixed: list[str] = [state for state in maker.terms if state not in maker.parts.zero_means]
+        #: The grouping factor of each level, the outermost first; that of the tests is called ``tests``.
+        self.groups: dict[str, str] = {g.column: g.name for g in maker.parts.groupings[:-1]} | {"tests": maker.parts.groupings[-1].name}
+        #: Columns that were made for the model, and what each is.
+        self.made: dict[str, str] = dict(maker.made)
+        #: Rows that were left out, fixed effects that were left out.
+        self.notes: list[str] = list(maker.notes)
+        self._maker = maker
+
+    def prepare(self, data: Data) -> Any:
+        """Other data as a ``pandas.DataFrame`` with the columns that were made for the model, to which the fit can be applied.
+
+        Levels of factors, means, knots and bases are those of the first data. No row is left out.
+        """
+        return self._maker.again(data)
+
+    def again(self, formula: str | None = None, data: Data | None = None) -> FormulaModel:
+        """Another formula or other data with the same weights, variances and context."""
+        options = self._maker.options
+        return model_from_formula(formula or self.formula, self._maker.data if data is None else data, **options)
+
+    def save(self, folder: Path) -> None:
+        """Writes ``model.toml``, and ``data.csv`` where the model takes made columns or rows were left out."""
+        place = FilePath(folder)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "model.toml").write_text(str(self), encoding="utf-8")
+        if self.takes_other_data:
+            self.data.to_csv(place / "data.csv", index=False)
+
+    @property
+    def takes_other_data(self) -> bool:
+        """Whether the model needs other data than were given: columns were made, or rows were left out."""
+        return bool(self.made) or len(self.rows) < self.rows_given
+
+    def __str__(self) -> str:
+        return self.model.text
+
+    def __repr__(self) -> str:
+        return f"<kalfit.FormulaModel {self.formula!r}: {len(self.data)} rows, states {', '.join(self.terms)}>"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(str(self))
+
+
+def model_from_formula(
+    formula: str,
+    data: Data,
+    *,
+    weights: str | None = None,
+    variances: str | None = None,
+    context: Mapping[str, Any] | None = None,
+) -> FormulaModel:
+    """Makes a model of a formula in the words of lme4: ``y ~ x * kind + (1 + x | unit / run)``.
+
+    Fixed effects are read by the package formulaic: factors with treatment contrasts as in R, interactions, ``log(x)``,
+    ``I(x^2)``, ``poly(x, 2)``, ``bs(x, df=4)``, ``scale(x)``, ``center(x)``, and functions of ``context``. Random terms may be
+    correlated, ``(1 + x | g)``, or not, ``(1 + x || g)``; groups may be nested, ``a / b`` or ``a:b``, and must not cross.
+    ``offset(o)`` adds a column as it is. Rows with missing values are left out, as R's ``na.omit`` does, and a
+    :class:`kalfit.FormulaWarning` says how many.
+
+    ``weights`` names a column w, by which the noise has the variance ``sigma^2 / w``. ``variances`` names a column of known
+    variances of the noise, as in a meta-analysis; then no ``sigma`` is estimated.
+
+    >>> import kalfit
+    >>> made = kalfit.model_from_formula("Reaction ~ Days + (Days | Subject)", "examples/random-coefficients/sleepstudy.csv")
+    >>> print(made.model.describe().splitlines()[0])
+    tests: one for each value of column `Subject`
+    >>> made.terms, made.groups
+    ({'Intercept': 'Intercept', 'Days': 'Days'}, {'tests': 'Subject'})
+    """
+    formulaic()
+    made = FormulaModel(Maker(parse(formula), data, weights, variances, dict(context or {})))
+    for note in made.notes:
+        warn(note, FormulaWarning)
+    return made
