@@ -109,6 +109,9 @@ pub(crate) enum Command {
     Report(ReportArgs),
     /// Draw a figure of a fit as SVG or PNG
     Plot(PlotArgs),
+    /// Print the JSON Schema of model files, with which editors complete keys and find mistakes
+    #[command(after_help = examples::SCHEMA)]
+    Schema,
     /// Print the script that completes commands and options in a shell
     Completions(CompletionsArgs),
     /// Print the manual page, or write the pages of all commands to a folder
@@ -118,9 +121,9 @@ pub(crate) enum Command {
 #[derive(Debug, Group)]
 #[command(after_help = examples::INIT)]
 pub(crate) struct InitArgs {
-    /// What to start from
+    /// What to start from; without it the templates are listed
     #[arg(value_enum)]
-    pub(crate) template: Template,
+    pub(crate) template: Option<Template>,
 
     /// Folder for the files, made if it does not exist [default: this folder]
     pub(crate) dir: Option<PathBuf>,

@@ -12,10 +12,18 @@ Colours: on terminals, unless NO_COLOR is set; CLICOLOR_FORCE=1 or `--color alwa
 
 pub(crate) const INIT: &str = "\
 Examples:
+  kalfit init                             the templates, a line each
   kalfit init gyro-bench                  gyro-bench.toml and gyro-bench.csv in this folder
   kalfit init random-coefficients sleep   in the folder `sleep`, which is made if need be
 
 Files that exist are never replaced.";
+
+pub(crate) const SCHEMA: &str = "\
+Examples:
+  kalfit schema > kalfit-model.schema.json
+
+An editor that knows TOML uses it for a model file whose first line is `#:schema kalfit-model.schema.json`. \
+`kalfit init` writes both.";
 
 pub(crate) const FIT: &str = "\
 Examples:

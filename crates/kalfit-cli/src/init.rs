@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::templates::Template;
 
+/// File of the schema of models, beside the model.
+const SCHEMA_FILE: &str = "kalfit-model.schema.json";
+
 /// What was asked for.
 #[derive(Debug)]
 pub(crate) struct InitJob {
@@ -38,7 +41,9 @@ impl InitError {
 /// Writes the files; what to tell the user.
 pub(crate) fn init(job: &InitJob) -> Result<String, InitError> {
     let InitJob { template, folder } = job;
-    let files = template.files().map(|(name, text)| (folder.join(name), text));
+    let [model, data] = template.files();
+    let model_text = format!("#:schema {SCHEMA_FILE}\n{}", model.1);
+    let files = [(folder.join(model.0), model_text.as_str()), (folder.join(data.0), data.1)];
     if let Some((path, _)) = files.iter().find(|(path, _)| path.symlink_metadata().is_ok()) {
         return Err(InitError::Exists { path: path.clone() });
     }
@@ -47,13 +52,17 @@ pub(crate) fn init(job: &InitJob) -> Result<String, InitError> {
     }
     let made = first_missing(folder);
     std::fs::create_dir_all(folder).map_err(|source| InitError::NoFolder { path: folder.clone(), source })?;
-    let written = write_all(folder, &files);
+    let schema = (folder.join(SCHEMA_FILE), kalfit_job::model_schema());
+    let is_new = schema.0.symlink_metadata().is_err();
+    let all: Vec<(PathBuf, &str)> =
+        files.iter().cloned().chain(is_new.then(|| (schema.0.clone(), schema.1.as_str()))).collect();
+    let written = write_all(folder, &all);
     if let (Err(_), Some(made)) = (&written, made) {
         let _ = remove_empty(folder, &made); // as it was found; what went wrong before is what the user must hear
     }
     written?;
     let [model, data] = files.map(|(path, _)| path);
-    Ok(told(&model, &data, template.data_in_words()))
+    Ok(told((&model, &data), template.data_in_words(), is_new.then_some(&schema.0)))
 }
 
 /// The outermost folder that is to be made, if any.
@@ -68,7 +77,7 @@ fn remove_empty(inner: &Path, outer: &Path) -> std::io::Result<()> {
 }
 
 /// Fills temporary files first, and moves them into place when all are whole.
-fn write_all(folder: &Path, files: &[(PathBuf, &str); 2]) -> Result<(), InitError> {
+fn write_all(folder: &Path, files: &[(PathBuf, &str)]) -> Result<(), InitError> {
     let unwritable = |path: &Path, source| InitError::Unwritable { path: path.to_owned(), source };
     let fill = |(path, text): &(PathBuf, &str)| {
         let mut builder = tempfile::Builder::new();
@@ -101,11 +110,13 @@ fn write_all(folder: &Path, files: &[(PathBuf, &str); 2]) -> Result<(), InitErro
     Ok(())
 }
 
-fn told(model: &Path, data: &Path, words: &str) -> String {
+fn told((model, data): (&Path, &Path), words: &str, schema: Option<&PathBuf>) -> String {
     let (shown_model, shown_data) = (model.display(), data.display());
     let (typed_model, typed_data) = (typed(model), typed(data));
+    let schema = schema
+        .map_or_else(String::new, |path| format!("Wrote {}: the keys of model files, for editors\n", path.display()));
     format!(
-        "Wrote {shown_model}: the model, with comments\nWrote {shown_data}: {words}\n\nNext:\n  kalfit fit {typed_model} {typed_data}\n"
+        "Wrote {shown_model}: the model, with comments\nWrote {shown_data}: {words}\n{schema}\nNext:\n  kalfit fit {typed_model} {typed_data}\n"
     )
 }
 

@@ -37,7 +37,7 @@ pub(crate) struct CommandOrder {
 
 #[derive(Debug)]
 enum CommandJob {
-    Init(InitJob),
+    Init(Option<InitJob>),
     Fit(FitJob),
     Reduce(ExchangeJob),
     Estimates(ExchangeJob),
@@ -55,6 +55,7 @@ enum CommandJob {
     Compare(CompareJob),
     Report(ReportJob),
     Plot(PlotJob),
+    Schema,
     Completions(Shell),
     Man(Option<PathBuf>),
 }
@@ -72,7 +73,9 @@ impl CommandOrder {
         let telling = self.telling;
         interrupt::listen(matches!(self.job, CommandJob::Fit(_)), telling.quiet);
         match &self.job {
-            CommandJob::Init(job) => show::init(job, telling),
+            CommandJob::Init(None) => show::templates(),
+            CommandJob::Init(Some(job)) => show::init(job, telling),
+            CommandJob::Schema => show::schema(),
             CommandJob::Fit(job) => show::fit(job, telling),
             CommandJob::Reduce(job) => show::exchange(job, kalfit_job::reduce, telling),
             CommandJob::Estimates(job) => show::exchange(job, kalfit_job::estimates, telling),
@@ -118,8 +121,10 @@ impl From<Args> for CommandOrder {
             Command::Compare(args) => CommandJob::Compare(args.into()),
             Command::Report(args) => CommandJob::Report(args.into()),
             Command::Init(args) => {
-                CommandJob::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() })
+                let folder = args.dir.unwrap_or_default();
+                CommandJob::Init(args.template.map(|template| InitJob { template, folder }))
             }
+            Command::Schema => CommandJob::Schema,
             Command::Plot(args) => CommandJob::Plot(args.into()),
             Command::Completions(args) => CommandJob::Completions(args.shell),
             Command::Man(args) => CommandJob::Man(args.dir),

@@ -19,6 +19,7 @@ use crate::generate;
 use crate::init::{self, InitJob};
 use crate::interrupt;
 use crate::progress::ProgressLine;
+use crate::templates::Template;
 use crate::terminal;
 
 /// What is told of a job that was done.
@@ -112,6 +113,18 @@ pub(crate) fn init(job: &InitJob, how: ShowOptions) -> Result<CommandOutcome, Co
     if !how.quiet {
         terminal::complain(&told);
     }
+    Ok(CommandOutcome::Done)
+}
+
+/// The starter models, to standard output.
+pub(crate) fn templates() -> Result<CommandOutcome, CommandFailure> {
+    terminal::print(&Template::list()).map_err(CommandFailure::Unheard)?;
+    Ok(CommandOutcome::Done)
+}
+
+/// The schema of model files, to standard output.
+pub(crate) fn schema() -> Result<CommandOutcome, CommandFailure> {
+    terminal::print(&kalfit_job::model_schema()).map_err(CommandFailure::Unheard)?;
     Ok(CommandOutcome::Done)
 }
 

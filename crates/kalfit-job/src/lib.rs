@@ -81,6 +81,7 @@ pub use job::{
     ExportJob, FitJob, FitTables, FoldChoice, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob,
     PredictedModel, PredictedUnits, ReportJob, SimulateJob, SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
 };
+pub use kalfit_spec::schema as model_schema;
 pub use memory::is_there as memory_is_there;
 pub use model::read as read_model;
 pub use output::{FileContents, OutputError, abandon};

@@ -6,6 +6,7 @@ use kalfit::{Layout, Model, PhasedModel};
 use toml::de::DeTable;
 
 use crate::error::{Result, SpecError, SpecProblem};
+use crate::keys;
 use crate::names::NameContext;
 use crate::phase::{ReadPhase, ReadPurpose, SharedTables, phase};
 use crate::phases::PhaseSource;
@@ -18,20 +19,6 @@ use crate::{data, digest, filter, levels, outputs, parameters, phases};
 pub(crate) const MAX_BYTES: u64 = 4 * 1024 * 1024;
 /// Columns, texts and levels of a model, times its phases.
 const MAX_SHARED: usize = 1_000_000;
-const KEYS: [&str; 12] = [
-    "title",
-    "data",
-    "states",
-    "process_noise_covariance",
-    "measurements",
-    "noise_covariance",
-    "parameters",
-    "mean",
-    "covariance",
-    "levels",
-    "phases",
-    "filter",
-];
 
 /// What the tables of a model file say.
 pub(crate) struct BuiltSpec {
@@ -49,7 +36,7 @@ pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
         return Err(SpecError::new(SpecProblem::TooLarge { found, limit: MAX_BYTES }));
     }
     let table = DeTable::parse(text).map_err(|error| not_toml(&error, text))?;
-    let root = TomlTable::open("the model file", table.span(), table.get_ref()).only(&KEYS)?;
+    let root = TomlTable::open("the model file", table.span(), table.get_ref()).with_keys(keys::ROOT)?;
     let BuiltSpec { model, layout, places, .. } = model(text, root, ReadPurpose::Tests)?;
     Ok(Spec { model, layout, digest: digest::of_text(text), name: name.to_owned(), text: text.to_owned(), places })
 }

@@ -6,19 +6,13 @@ use nalgebra::DMatrix;
 use crate::constraints::{FixedElements, OpenStructure, equal_groups, fixed_elements};
 use crate::elements::NamedElements;
 use crate::error::{Result, SpecError, SpecProblem, StructureProblem};
+use crate::keys;
 use crate::matrix::ExpressionMatrix;
 use crate::names::NameContext;
 use crate::states;
 use crate::suggest::either;
 use crate::table::{TomlField, TomlTable};
 
-const KEYS: [&str; 8] = ["structure", "order", "blocks", "matrix", "fixed", "equal", "known", "start"];
-/// The same where tests stand in groups: what varies from test to test can be less than what varies at all.
-const KEYS_IN_GROUPS: [&str; 9] =
-    ["structure", "order", "blocks", "matrix", "fixed", "equal", "known", "start", "states"];
-/// Those of a level of groups.
-const KEYS_OF_LEVEL: [&str; 7] = ["structure", "blocks", "matrix", "fixed", "equal", "start", "states"];
-const STRUCTURES: [&str; 6] = ["full", "diagonal", "blocks", "proportional", "correlation", "fixed"];
 /// Structures that other constraints combine with.
 const OPEN: [&str; 3] = ["full", "diagonal", "blocks"];
 const WITH_MATRIX: [&str; 3] = ["proportional", "correlation", "fixed"];
@@ -36,7 +30,7 @@ pub(crate) fn open<'d>(
         let hint = "`random = false` of a state says that it has one value common to all tests";
         return Err(states.no_effect("without `levels` in `[data]`").hint(hint));
     }
-    let mut section = section.only(if context.grouped { &KEYS_IN_GROUPS } else { &KEYS })?;
+    let mut section = section.with_keys(if context.grouped { keys::COVARIANCE_IN_GROUPS } else { keys::COVARIANCE })?;
     if let Some(order) = section.take("order") {
         let elements = NamedElements::new(states, &estimated);
         let place = &order.what();
@@ -71,7 +65,7 @@ pub(crate) fn open_level<'d>(field: &TomlField<'d>, place: String) -> Result<Tom
             return Err(SpecError::new(problem).at(field.key_span).hint(hint));
         }
     }
-    section.only(&KEYS_OF_LEVEL)
+    section.with_keys(keys::COVARIANCE_OF_LEVEL)
 }
 
 /// Reads the rest of `[covariance]`, or the covariance of a level of groups.
@@ -88,8 +82,8 @@ pub(crate) fn read(
     let listed = section.take("states").map(|list| elements.varying(&list)).transpose()?;
     let elements = listed.as_ref().unwrap_or(elements);
     let named = section.take("structure");
-    let word = named.as_ref().map_or(Ok(0), |field| field.word(&STRUCTURES))?;
-    let word = STRUCTURES[word];
+    let word = named.as_ref().map_or(Ok(0), |field| field.word(&keys::STRUCTURES))?;
+    let word = keys::STRUCTURES[word];
     refuse_idle(&section, word)?;
     let blocks = blocks(&mut section, elements, word)?;
     let matrix = matrix(context, &mut section, elements, word)?;

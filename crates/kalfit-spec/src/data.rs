@@ -4,25 +4,13 @@ use kalfit::model::{Clock, Expression, Model, Motion};
 use kalfit::{Layout, TestKey};
 
 use crate::error::{Result, Span, SpecError, SpecProblem};
+use crate::keys;
 use crate::levels::{self, GroupColumns};
 use crate::names::NameContext;
 use crate::phases::PhaseSource;
 use crate::suggest::suggest;
 use crate::table::{TomlField, TomlTable};
 
-const KEYS: [&str; 11] = [
-    "test",
-    "levels",
-    "time",
-    "time_unit",
-    "initial_time",
-    "step_first",
-    "inputs",
-    "group",
-    "missing",
-    "comment",
-    "phase",
-];
 const PLACE: &str = "`[data]`";
 
 /// What `[data]` says.
@@ -53,7 +41,7 @@ pub(crate) struct FirstStep {
 /// Reads `[data]`; without it all rows are one test.
 pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) -> Result<DataSpec> {
     let Some(field) = field else { return Ok(DataSpec::default()) };
-    let mut section = field.section(PLACE)?.only(&KEYS)?;
+    let mut section = field.section(PLACE)?.with_keys(keys::DATA)?;
     let mut data = DataSpec { span: section.span.clone(), ..DataSpec::default() };
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;

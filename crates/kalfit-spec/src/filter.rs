@@ -6,13 +6,12 @@ use nalgebra::DMatrix;
 use crate::data::uses;
 use crate::elements::NamedElements;
 use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
+use crate::keys;
 use crate::matrix::ExpressionMatrix;
 use crate::names::NameContext;
 use crate::states::rate_of;
 use crate::suggest::suggest;
 use crate::table::{TomlField, TomlTable};
-
-const KEYS: [&str; 5] = ["kind", "consider", "mean", "covariance", "parameters"];
 
 /// A filter with the places of its numbers, for checks that need all of the model.
 pub(crate) struct DeclaredFilter {
@@ -35,7 +34,7 @@ struct FilterBelief {
 /// Reads a filter of a phase with these states.
 pub(crate) fn read(context: &NameContext<'_>, field: &TomlField<'_>, states: &[State]) -> Result<DeclaredFilter> {
     let place = context.phase.table("filter");
-    let mut section = field.section(place.as_str())?.only(&KEYS)?;
+    let mut section = field.section(place.as_str())?.with_keys(keys::FILTER)?;
     section.need("kind")?.word(&["kalman-schmidt"])?;
     let elements = NamedElements::whole(states);
     let consider = section.take("consider").map_or(Ok(Vec::new()), |field| consider(&field, &elements, states))?;

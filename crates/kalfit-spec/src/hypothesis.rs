@@ -11,6 +11,7 @@ use crate::beside::{self, BesideError};
 use crate::build;
 use crate::digest;
 use crate::error::{Span, SpecError, SpecProblem};
+use crate::keys;
 use crate::levels;
 use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, reorder_levels, table_in};
 use crate::names::{phase_key, table_key};
@@ -178,7 +179,7 @@ impl Spec {
                 return Err(levels::unknown(&field, known, &place));
             }
             let key = table_key("levels", field.key);
-            let section = field.section(format!("`[{key}]` of {PLACE}"))?.only(&levels::KEYS)?;
+            let section = field.section(format!("`[{key}]` of {PLACE}"))?.with_keys(keys::LEVEL)?;
             let Some(covariance) = section.peek("covariance") else { return Err(section.missing("covariance")) };
             covariance.section("")?;
         }

@@ -8,6 +8,7 @@ use kalfit::model::{CovarianceStructure, GroupLevel, State};
 use crate::covariance;
 use crate::elements::NamedElements;
 use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
+use crate::keys;
 use crate::names::{NameContext, table_key};
 use crate::phases::PhaseSource;
 use crate::suggest::{either, suggest};
@@ -15,8 +16,6 @@ use crate::table::{TomlField, TomlTable};
 
 /// Levels of one model; each has a covariance of all estimated states.
 const MAX_LEVELS: usize = 10;
-/// Keys of a level.
-pub(crate) const KEYS: [&str; 1] = ["covariance"];
 
 /// The columns of groups, the outermost first.
 #[derive(Debug)]
@@ -151,7 +150,7 @@ fn level(
     elements: &NamedElements,
 ) -> Result<CovarianceStructure> {
     let key = table_key("levels", name);
-    let mut table = field.map(|field| field.section(format!("`[{key}]`"))?.only(&KEYS)).transpose()?;
+    let mut table = field.map(|field| field.section(format!("`[{key}]`"))?.with_keys(keys::LEVEL)).transpose()?;
     let own = table.as_mut().and_then(|table| table.take("covariance"));
     let own = own.map(|field| covariance::open_level(&field, format!("`[{key}.covariance]`"))).transpose()?;
     covariance::read(context, own, elements)

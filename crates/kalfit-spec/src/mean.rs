@@ -7,10 +7,9 @@ use kalfit::model::{MeanElement, MeanStructure, Regression};
 use crate::elements::NamedElements;
 use crate::error::{Result, SpecError, SpecProblem, StructureProblem};
 use crate::expression::{self, ExpressionScope};
+use crate::keys;
 use crate::names::NameContext;
 use crate::table::{TomlField, TomlTable};
-
-const KEYS: [&str; 5] = ["fixed", "start", "tied", "proportional_to", "regression"];
 
 /// Regression coefficients of one model; what is found of them grows with its square.
 const MAX_REGRESSION: usize = 1_000;
@@ -35,7 +34,7 @@ pub(crate) fn read(
     let mean = MeanStructure::free(elements.len());
     let Some(field) = field else { return Ok(mean) };
     let place = context.phase.table("mean");
-    let mut section = field.section(place.as_str())?.only(&KEYS)?;
+    let mut section = field.section(place.as_str())?.with_keys(keys::MEAN)?;
     let mut reader = MeanReader { context, place, estimated, elements, mean };
     if let Some(field) = section.take("fixed") {
         reader.fixed(&field)?;

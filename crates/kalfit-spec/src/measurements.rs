@@ -4,11 +4,11 @@ use kalfit::model::{Expression, Measurement};
 
 use crate::error::{Result, SpecError, SpecProblem, StructureProblem};
 use crate::expression::{self, ExpressionScope};
+use crate::keys;
 use crate::motion::{deviation, squared};
 use crate::names::{NameContext, NameIndex, ParameterRole, check_label};
 use crate::table::{TomlField, TomlTable};
 
-const KEYS: [&str; 5] = ["column", "where", "equation", "noise", "variance"];
 /// Measurements of one model; the covariance of a step's noises grows with its square.
 const MAX_MEASUREMENTS: usize = 500;
 
@@ -38,7 +38,7 @@ pub(crate) fn read(
 
 fn one(context: &mut NameContext<'_>, field: &TomlField<'_>, before: &[Measurement]) -> Result<Measurement> {
     let place = context.phase.entry("measurements", "measurement", field.key);
-    let mut section = field.section(place)?.only(&KEYS)?;
+    let mut section = field.section(place)?.with_keys(keys::MEASUREMENT)?;
     let source = section.need("column")?;
     let column = context.column(source.text()?, source.span.clone(), &source.what());
     let filter = section.take("where").map(|field| filter(context, &field)).transpose()?;

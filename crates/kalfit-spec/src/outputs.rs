@@ -4,11 +4,11 @@ use kalfit::predict::Output;
 
 use crate::error::{Result, SpecError, SpecProblem};
 use crate::expression::{self, ExpressionScope};
+use crate::keys;
 use crate::names::{NameContext, NameIndex, check_label};
 use crate::phases::{self, PhaseSource};
 use crate::table::{TomlField, TomlTable};
 
-const KEYS: [&str; 3] = ["equation", "unit", "phase"];
 /// Outputs of one file.
 const MAX_OUTPUTS: usize = 500;
 
@@ -40,7 +40,7 @@ pub(crate) fn outputs(
 }
 
 fn one(context: &mut NameContext<'_>, field: &TomlField<'_>, source: &PhaseSource<'_>) -> Result<Option<Output>> {
-    let mut section = field.section(format!("output `{}`", field.key))?.only(&KEYS)?;
+    let mut section = field.section(format!("output `{}`", field.key))?.with_keys(keys::OUTPUT)?;
     let equation = section.need("equation")?;
     let unit = section.take("unit").map(|unit| unit.text().map(str::to_owned)).transpose()?;
     if let Some(phase) = section.take("phase")

@@ -6,11 +6,10 @@ use kalfit::model::{Parameter, Value};
 
 use crate::error::{Result, Span, SpecError, SpecProblem};
 use crate::figure::figure;
+use crate::keys;
 use crate::names::{NameContext, ParameterRole, check_name};
 use crate::suggest::nearest;
 use crate::table::{TomlField, TomlTable};
-
-const KEYS: [&str; 7] = ["value", "start", "unit", "lower", "upper", "per", "fixed"];
 
 /// Parameters of one model; what is found of them grows with its square.
 const MAX_PARAMETERS: usize = 1_000;
@@ -69,7 +68,7 @@ fn one(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<DeclaredP
         spans.value = field.span.clone();
         return Ok(DeclaredParameter { parameter, spans });
     }
-    let mut section = field.section(format!("parameter `{}`", field.key))?.only(&KEYS)?;
+    let mut section = field.section(format!("parameter `{}`", field.key))?.with_keys(keys::PARAMETER)?;
     parameter.unit = section.take("unit").map(|unit| unit.text().map(str::to_owned)).transpose()?;
     let value = bound(&mut section, "value", &mut spans.value)?;
     let start = bound(&mut section, "start", &mut spans.start)?;

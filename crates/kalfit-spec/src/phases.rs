@@ -3,15 +3,11 @@
 use kalfit::model::MAIN;
 
 use crate::error::{Result, Span, SpecError, SpecProblem};
+use crate::keys;
 use crate::names::{PhaseInWords, check_label, phase_key};
 use crate::suggest::suggest;
 use crate::table::{TomlField, TomlTable};
 
-/// Tables that a phase has itself or takes from the top level.
-pub(crate) const TABLES: [&str; 7] =
-    ["states", "process_noise_covariance", "measurements", "noise_covariance", "mean", "covariance", "filter"];
-/// Keys that only a phase can have.
-const OWN: [&str; 3] = ["carry", "initial_time", "step_first"];
 /// Phases of one model.
 const MAX_PHASES: usize = 100;
 /// States of all phases together, and measurements: phases that share tables make much of a small file.
@@ -29,7 +25,7 @@ pub(crate) struct PhaseSource<'d> {
 
 /// The phases in order of appearance; without `[phases]` there is one, made of the top level.
 pub(crate) fn open<'d>(root: &mut TomlTable<'d>) -> Result<Vec<PhaseSource<'d>>> {
-    let top: Vec<TomlField<'d>> = TABLES.iter().filter_map(|key| root.take(key)).collect();
+    let top: Vec<TomlField<'d>> = keys::PHASE_TABLES.iter().filter_map(|key| root.take(key)).collect();
     let Some(field) = root.take("phases") else {
         return Ok(vec![PhaseSource { name: MAIN, span: None, own: None, top }]);
     };
@@ -57,7 +53,7 @@ fn known(section: TomlTable<'_>) -> Result<TomlTable<'_>> {
         let hint = "phases share parameters by name: they stand in `[parameters]`";
         return Err(SpecError::new(problem).at(field.key_span).hint(hint));
     }
-    section.only(&[&TABLES[..], &OWN].concat())
+    section.with_keys(keys::PHASE)
 }
 
 /// Refuses tables of the top level that no phase takes, and what the first phase cannot have.
@@ -85,7 +81,7 @@ impl<'d> PhaseSource<'d> {
 
     /// The phase in messages.
     pub(crate) fn within(&self) -> PhaseInWords {
-        let own = TABLES.iter().chain(&OWN).copied().filter(|key| self.own(key).is_some()).collect();
+        let own = keys::names(keys::PHASE).into_iter().filter(|key| self.own(key).is_some()).collect();
         PhaseInWords { name: self.span.as_ref().map(|_| self.name.to_owned()), own }
     }
 

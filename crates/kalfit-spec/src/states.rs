@@ -4,24 +4,11 @@ use kalfit::model::{Expression, Initial, Motion, State};
 
 use crate::error::{Result, Span, SpecError, SpecProblem};
 use crate::expression::{self, ExpressionScope, ZERO};
+use crate::keys;
 use crate::motion::{MotionProcess, deviation, moved, squared};
 use crate::names::{NameContext, ParameterRole, check_name};
 use crate::table::{TomlField, TomlTable};
 
-const KEYS: [&str; 12] = [
-    "unit",
-    "process",
-    "time_constant",
-    "sigma",
-    "noise_density",
-    "step_noise",
-    "derivative",
-    "next",
-    "of",
-    "initial",
-    "offset",
-    "random",
-];
 /// States of one model; μ, Σ and every filter step grow with its square.
 const MAX_STATES: usize = 500;
 
@@ -55,7 +42,7 @@ pub(crate) fn declare<'d>(
             return Err(SpecError::new(problem).at(field.key_span));
         }
         let place = context.phase.entry("states", "state", field.key);
-        let mut section = field.section(place)?.only(&KEYS)?;
+        let mut section = field.section(place)?.with_keys(keys::STATE)?;
         let process = MotionProcess::of(&mut section)?;
         let index = context.states.add(field.key, field.key_span.clone());
         if process == MotionProcess::GaussMarkov2 {
@@ -130,7 +117,7 @@ fn initial(context: &mut NameContext<'_>, field: &TomlField<'_>, place: &str) ->
             _ => Initial::Stationary,
         });
     }
-    let mut section = field.section(format!("`initial` of {place}"))?.only(&["mean", "sigma"])?;
+    let mut section = field.section(format!("`initial` of {place}"))?.with_keys(keys::START)?;
     let (mean, sigma) = match (section.take("mean"), section.take("sigma")) {
         (Some(mean), Some(sigma)) => (mean, sigma),
         (None, _) => return Err(section.missing("mean").hint("write `mean = 0` when the known mean is 0")),

@@ -4,6 +4,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use crate::error::{Result, Span, SpecError, SpecProblem};
+use crate::keys::{self, Key};
 use crate::suggest::{either, suggest};
 
 /// A table of the file with the keys that were read of it.
@@ -44,6 +45,11 @@ impl<'d> TomlTable<'d> {
             }
         }
         Ok(self)
+    }
+
+    /// Refuses keys that the table does not have.
+    pub(crate) fn with_keys(self, keys: &'static [Key]) -> Result<TomlTable<'d>> {
+        self.only(&keys::names(keys))
     }
 
     /// All keys in file order.

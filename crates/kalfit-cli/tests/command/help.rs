@@ -53,6 +53,8 @@ fn version_and_help() {
                    nested fits
       report       Make the report of a fit, one HTML page, from its results
       plot         Draw a figure of a fit as SVG or PNG
+      schema       Print the JSON Schema of model files, with which editors complete keys and find
+                   mistakes
       completions  Print the script that completes commands and options in a shell
       man          Print the manual page, or write the pages of all commands to a folder
       help         Print this message or the help of the given subcommand(s)

@@ -4,7 +4,16 @@ use crate::folder::{Folder, shown};
 use insta::assert_snapshot;
 use kalfit::FitRecord;
 
-const TEMPLATES: [&str; 5] = ["random-coefficients", "meta-analysis", "gyro-bench", "static-imu", "two-phase"];
+const TEMPLATES: [&str; 8] = [
+    "random-coefficients",
+    "meta-analysis",
+    "gyro-bench",
+    "static-imu",
+    "two-phase",
+    "levels",
+    "six-position",
+    "moderators",
+];
 
 /// A starter model in a folder of its own.
 fn begun(template: &str) -> Folder {
@@ -47,6 +56,7 @@ fn what_was_written_is_said_and_what_to_type_next() {
     ----- stderr
     Wrote gyro-bench.toml: the model, with comments
     Wrote gyro-bench.csv: 28 gyros on two stations, drawn
+    Wrote kalfit-model.schema.json: the keys of model files, for editors
 
     Next:
       kalfit fit gyro-bench.toml gyro-bench.csv
@@ -57,6 +67,7 @@ fn what_was_written_is_said_and_what_to_type_next() {
     ----- stderr
     Wrote bench/static/static-imu.toml: the model, with comments
     Wrote bench/static/static-imu.csv: 24 gyros in six positions, drawn
+    Wrote bench/static/kalfit-model.schema.json: the keys of model files, for editors
 
     Next:
       kalfit fit bench/static/static-imu.toml bench/static/static-imu.csv
@@ -70,8 +81,41 @@ fn what_was_written_is_said_and_what_to_type_next() {
     names.iter_mut().for_each(|path| *path = path.rsplit('/').next().expect("it has a name").to_owned());
     assert_eq!(
         names,
-        ["bench", "d.csv", "gyro-bench.csv", "gyro-bench.toml", "m.toml", "two-phase.csv", "two-phase.toml"]
+        [
+            "bench",
+            "d.csv",
+            "gyro-bench.csv",
+            "gyro-bench.toml",
+            "kalfit-model.schema.json",
+            "m.toml",
+            "two-phase.csv",
+            "two-phase.toml"
+        ]
     );
+}
+
+#[test]
+fn templates_are_listed_with_a_line_each() {
+    let folder = Folder::new(&[]);
+    let told = shown(&folder.run("init"));
+    assert!(told.starts_with("exit 0"), "{told}");
+    for template in TEMPLATES {
+        assert!(told.lines().any(|line| line.trim_start().starts_with(template)), "{template}: {told}");
+    }
+}
+
+/// The schema has the keys of every template; a model beside which it stands names it.
+#[test]
+fn a_schema_stands_beside_the_model() {
+    let folder = begun("levels");
+    assert!(text(&folder, "levels.toml").starts_with("#:schema kalfit-model.schema.json\n"));
+    let schema = text(&folder, "kalfit-model.schema.json");
+    let printed = folder.run("schema");
+    assert_eq!(String::from_utf8_lossy(&printed.stdout), schema);
+    let schema: serde_json::Value = serde_json::from_str(&schema).expect("the schema is JSON");
+    assert_eq!(schema["properties"]["data"]["properties"]["levels"]["items"]["type"], "string");
+    let again = folder.run("init moderators");
+    assert!(!shown(&again).contains("schema"), "a schema that stands there is not written again");
 }
 
 #[test]
@@ -118,23 +162,30 @@ fn templates_that_are_not_known_are_refused_with_the_list_and_the_nearest() {
     exit 2
     ----- stdout
     ----- stderr
-    error: invalid value 'gyro-bnech' for '<TEMPLATE>'
-      [possible values: random-coefficients, meta-analysis, gyro-bench, static-imu, two-phase]
+    error: invalid value 'gyro-bnech' for '[TEMPLATE]'
+      [possible values: random-coefficients, meta-analysis, gyro-bench, static-imu, two-phase, levels, six-position, moderators]
 
       tip: a similar value exists: 'gyro-bench'
 
     For more information, try '--help'.
     ");
     assert_snapshot!(shown(&folder.run("init")), @"
-    exit 2
+    exit 0
     ----- stdout
+    Templates: a model with comments and data, ready to run
+
+      random-coefficients  A line for each of 18 people: random intercepts and slopes
+      meta-analysis        Five trials of two outcomes with known sampling errors
+      gyro-bench           28 gyros on two stations: bias, scale factor, g-sensitivity
+      static-imu           24 gyros held still: bias, g-sensitivity, and free drift and noise
+      two-phase            An inertial platform, aligned and then flown
+      levels               Twelve gyros run again and again on two stations: spread from gyro to gyro and from run to run
+      six-position         Twelve accelerometer triads in six positions at five temperatures, switched on again at each
+      moderators           Thirteen trials with known sampling errors, and what their effect depends on
+
+    Next:
+      kalfit init TEMPLATE [DIR]
     ----- stderr
-    error: the following required arguments were not provided:
-      <TEMPLATE>
-
-    Usage: kalfit init <TEMPLATE> [DIR]
-
-    For more information, try '--help'.
     ");
 }
 

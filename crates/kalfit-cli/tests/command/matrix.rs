@@ -12,7 +12,7 @@ const COMMANDS: [(&str, &[&str]); 23] = [
     ("estimates m.toml d.csv --out estimates.parquet", NO_ESTIMATES),
     ("sums m.toml d.csv --out site.sums", &[]),
     ("join m.toml site.sums --out theta.json", &[]),
-    ("test m.toml d.csv --null null.toml", &["cannot test this hypothesis: the hypothesis restricts nothing"]),
+    ("test m.toml d.csv --null null.toml", &["cannot test this hypothesis: "]),
     ("simulate m.toml --from fit.json --design d.csv --seed 1 --out drawn.csv", &[]),
     ("plan m.toml --from fit.json --design d.csv --tests 5,10", &["how many groups of level `"]),
     ("plan m.toml --from fit.json --design d.csv --tests 5 --groups batch=4", &["found groups of `batch`, expected"]),
@@ -102,6 +102,9 @@ every_command_runs_on! {
     every_command_on_the_template_gyro_bench: "templates/gyro-bench.toml", "templates/gyro-bench.csv";
     every_command_on_the_template_static_imu: "templates/static-imu.toml", "templates/static-imu.csv";
     every_command_on_the_template_two_phase: "templates/two-phase.toml", "templates/two-phase.csv";
+    every_command_on_the_template_levels: "templates/levels.toml", "templates/levels.csv";
+    every_command_on_the_template_six_position: "templates/six-position.toml", "templates/six-position.csv";
+    every_command_on_the_template_moderators: "templates/moderators.toml", "templates/moderators.csv";
 }
 
 /// States that vary at some levels only.
