@@ -124,6 +124,42 @@ fn by_either_criterion(folder: &Folder) {
     }
 }
 
+/// Answers that no tests give, of a place that says nothing else that is wrong.
+#[test]
+fn sums_that_cannot_come_from_tests_are_refused_with_the_place() {
+    let folder = folder();
+    ["north", "east", "south"].map(|place| {
+        ends_well(&folder, &format!("sums sleepstudy.toml {place}.csv --set sigma=25 --out {place}.sums"))
+    });
+    let honest = json(&folder, "east.sums");
+    let join = "join sleepstudy.toml north.sums east.sums south.sums --set sigma=25 --out theta.json";
+    let states = 2;
+    let (counts, information) = (0, 5 + 1);
+    let informed = information + states * (states + 1) / 2;
+    for (at, value, why) in [
+        (counts, 1e18, "the number of tests in the sums is not that of the file"),
+        (counts, -6.0, "the number of tests in the sums is not that of the file"),
+        (counts, 5.5, "the number of tests in the sums is not that of the file"),
+        (counts + 1, 1e17, "a number of rows or measurements is no whole number"),
+        (counts + 2, 60.5, "a number of rows or measurements is no whole number"),
+        (information, -1.0, "the information on the states is not positive semidefinite"),
+        (information + 1, 1e9, "the information on the states is not positive semidefinite"),
+        (informed, 7.0, "a number of tests is not among those of the tests"),
+    ] {
+        let mut told = honest.clone();
+        told["answers"][0][at] = value.into();
+        folder.write("east.sums", told.to_string().as_bytes());
+        let text = refused(&folder, join);
+        assert!(
+            text.contains(&format!("the sums of `east.sums` cannot come from tests: {why}")),
+            "{at} {value}: {text}"
+        );
+        assert!(!folder.path("theta.json").exists());
+    }
+    folder.write("east.sums", honest.to_string().as_bytes());
+    ends_well(&folder, join);
+}
+
 #[test]
 fn what_does_not_belong_together_is_refused() {
     let folder = folder();

@@ -113,6 +113,20 @@ pub enum SumsError {
         /// The file.
         file: String,
     },
+    /// An answer that no tests give.
+    #[error("the sums of `{file}` cannot come from tests: {why}")]
+    Impossible {
+        /// The file.
+        file: String,
+        /// What contradicts that.
+        why: &'static str,
+    },
+    /// A search that has no end.
+    #[error("the search has not ended in {rounds} rounds: the sums of some place do not follow from one set of tests")]
+    Rounds {
+        /// Rounds so far.
+        rounds: usize,
+    },
     /// Fewer tests than a place tells of.
     #[error("there are {found} tests, and sums of fewer than {least} are not told")]
     Few {
@@ -142,6 +156,10 @@ impl SumsError {
             }
             SumsError::Places { .. } => Some("every place takes part in every round, with the same tests"),
             SumsError::Answers { .. } => Some("make them anew"),
+            SumsError::Impossible { .. } => Some("ask that place to make them anew"),
+            SumsError::Rounds { .. } => Some(
+                "begin anew, and see that no place changes its data between rounds; leave out one place after the other to find which",
+            ),
             SumsError::Few { .. } => {
                 Some("`--at-least` asks for that; more tests, or another agreement between the places")
             }

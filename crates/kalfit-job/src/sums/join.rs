@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use kalfit::estimate::{Criterion, Settings};
+use kalfit::model::Slots;
 use kalfit::remote::{Answer, Asked, Question, sum};
-use kalfit::shards::{Asks, Next, ShardError};
-use kalfit::{FitRecord, Provenance};
+use kalfit::shards::{Asks, Audit, Next, ShardError};
+use kalfit::{FitRecord, Labels, Provenance};
 use kalfit_spec::Spec;
 
 use crate::document::Document;
@@ -113,6 +114,9 @@ pub fn of_partitions(
     go_on((&spec, criterion), theta, &named, watch)
 }
 
+/// A fit of tests takes about thirty rounds at most; a search that goes on has sums that contradict each other.
+const MOST_ROUNDS: usize = 60;
+
 /// Goes on from θ with the sums of all places, which messages call by their names.
 fn go_on(
     (spec, criterion): (&Spec, Criterion),
@@ -172,8 +176,26 @@ fn apart(sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<(), SumsError> {
     Ok(())
 }
 
+/// Refuses answers that cannot come from tests.
+fn audit(ask: &[Asked], sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<(), SumsError> {
+    let slots = Slots::in_phases(&spec.model, &Labels::new(&spec.model.shared().literals), &[]);
+    let Some(audit) = Audit::new(&spec.model, &slots) else { return Ok(()) };
+    for (k, asked) in ask.iter().enumerate() {
+        for (file, own) in sums {
+            let fault = own.answers[k].as_ref().and_then(|numbers| audit.fault(&asked.question, numbers, own.tests));
+            if let Some(why) = fault {
+                return Err(SumsError::Impossible { file: (*file).to_owned(), why });
+            }
+        }
+    }
+    Ok(())
+}
+
 /// What is known after a round.
 fn together(theta: Theta, sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<Theta, SumsError> {
+    if theta.round >= MOST_ROUNDS {
+        return Err(SumsError::Rounds { rounds: theta.round });
+    }
     let bare = theta.bare();
     let Some(&(first, _)) = sums.first() else { return Err(ShardError::NoTests.into()) };
     for &(file, own) in sums {
@@ -195,6 +217,7 @@ fn together(theta: Theta, sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<The
         return Err(SumsError::Places { found, found_tests, places, tests });
     }
     apart(sums, spec)?;
+    audit(&theta.ask, sums, spec)?;
     let mut known = theta.known;
     for (k, asked) in theta.ask.into_iter().enumerate() {
         let answers: Vec<Answer> = sums.iter().map(|(_, sums)| sums.answers[k].clone()).collect();

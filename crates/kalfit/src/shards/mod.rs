@@ -52,12 +52,14 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod audit;
 mod error;
 mod search;
 mod shard;
 #[cfg(test)]
 mod tests;
 
+pub use audit::Audit;
 pub use error::ShardError;
 pub use search::{Asks, Next, first, go_on};
 pub use shard::Shard;

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::face::{Ensemble, Options};
+use crate::shards::Audit;
 use crate::shards::{Asks, Next, Shard, ShardError, go_on};
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Criterion, Silent};
@@ -25,6 +26,9 @@ fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize
     let shard = |k| Shard::new(ensemble.model().clone(), ensemble.labels(), part(k), settings.clone()).unwrap();
     let shards: Vec<Shard> = (0..places).map(shard).collect();
     let mut known: Vec<(Asked, Answer)> = Vec::new();
+    let model = ensemble.model();
+    let slots = kalfit_model::Slots::in_phases(model, &kalfit_model::Labels::new(&model.shared().literals), &[]);
+    let audit = Audit::new(model, &slots).unwrap();
     for round in 0..200 {
         match go_on(ensemble.model(), asks, known.clone(), Provenance::default(), &mut Silent).unwrap() {
             Next::Ends(record) => {
@@ -35,6 +39,9 @@ fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize
                 for asked in all {
                     assert!(known.iter().all(|(other, _)| *other != asked), "asked twice: {asked:?}");
                     let answers: Vec<Answer> = shards.iter().map(|shard| shard.answer(&asked).unwrap()).collect();
+                    for (shard, numbers) in shards.iter().zip(&answers).filter_map(|(s, a)| Some((s, a.as_ref()?))) {
+                        assert_eq!(audit.fault(&asked.question, numbers, shard.tests()), None, "{asked:?}");
+                    }
                     known.push((asked, sum(&answers).expect("of one length")));
                 }
             }
