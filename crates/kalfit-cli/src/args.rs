@@ -46,7 +46,7 @@ pub(crate) struct GlobalArgs {
     #[arg(short, long, global = true, help_heading = GLOBAL)]
     pub(crate) quiet: bool,
 
-    /// Threads to use; the results do not depend on it [default: all processors]
+    /// Threads to use, at most four for each processor; the results do not depend on it [default: all processors]
     #[arg(short = 'j', long, value_name = "N", global = true, help_heading = GLOBAL,
           value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) threads: Option<u16>,

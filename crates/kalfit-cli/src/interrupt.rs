@@ -15,6 +15,10 @@ pub(crate) const STATUS: u8 = 130;
 #[cfg(unix)]
 const UNDONE: i32 = 2;
 
+/// Whether a signal ends the process at once: until the command listens itself.
+#[cfg(unix)]
+static EARLY: std::sync::LazyLock<Arc<AtomicBool>> = std::sync::LazyLock::new(|| Arc::new(AtomicBool::new(true)));
+
 /// Somebody asked for the end.
 static ASKED: AtomicBool = AtomicBool::new(false);
 
@@ -22,6 +26,17 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 pub(crate) fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
 }
+
+/// Ends the process with the status of an interrupted one on a signal that comes before the command listens.
+#[cfg(unix)]
+pub(crate) fn end_early() {
+    for signal in heard() {
+        let _ = signal_hook::flag::register_conditional_shutdown(signal, i32::from(STATUS), Arc::clone(&EARLY));
+    }
+}
+
+#[cfg(not(unix))]
+pub(crate) fn end_early() {}
 
 /// Listens for Ctrl-C, and for SIGTERM and SIGHUP where there are such. `searches` says that the command can end with the best so
 /// far, `quiet` that nobody wants to hear of it. A signal that is ignored, as by `nohup`, or in jobs that a script runs in the
@@ -49,16 +64,26 @@ pub(crate) fn listen(searches: bool, quiet: bool) {
 /// cannot be, signals do what they do to any program.
 #[cfg(unix)]
 fn hear(asked: impl Fn(bool) + Send + 'static) {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    let ignored = ignored();
-    let heard = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| match ignored {
-        Some(ignored) => (ignored >> (signal - 1)) & 1 == 0,
-        None => *signal != SIGHUP, // `nohup` may have been there
-    });
-    let Ok(mut signals) = signal_hook::iterator::Signals::new(heard) else { return };
+    use signal_hook::consts::SIGHUP;
+    let Ok(mut signals) = signal_hook::iterator::Signals::new(heard()) else { return };
+    EARLY.store(false, Ordering::SeqCst);
     // a terminal that goes may say so twice, itself and by its shell
     let listens = move || signals.forever().for_each(|signal| asked(signal != SIGHUP));
     let _ = std::thread::Builder::new().name("signals".to_owned()).spawn(listens);
+}
+
+/// The signals that ask for the end, without those that are ignored.
+#[cfg(unix)]
+fn heard() -> Vec<i32> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    /// Signals that this program was started with as ignored: what it registers itself changes what the system tells.
+    static IGNORED: std::sync::OnceLock<Option<u64>> = std::sync::OnceLock::new();
+    let ignored = *IGNORED.get_or_init(ignored);
+    let is_heard = |signal: &i32| match ignored {
+        Some(ignored) => (ignored >> (signal - 1)) & 1 == 0,
+        None => *signal != SIGHUP, // `nohup` may have been there
+    };
+    [SIGINT, SIGTERM, SIGHUP].into_iter().filter(is_heard).collect()
 }
 
 /// A file that grows beyond the limit of the process is an error of the one who writes it, as on a full disk. By default a signal would

@@ -11,7 +11,7 @@ use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::sums::{JoinJob, SumsJob};
 use kalfit_job::{
-    ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables,
+    ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, FitJob, FitTables,
     FoldChoice, ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
@@ -23,6 +23,7 @@ use crate::ended::{CommandFailure, CommandOutcome};
 use crate::init::InitJob;
 use crate::interrupt;
 use crate::show::{self, ShowOptions};
+use crate::threads;
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
@@ -64,11 +65,7 @@ impl CommandOrder {
     pub(crate) fn run(&self) -> Result<CommandOutcome, CommandFailure> {
         kalfit_job::fix_instructions(self.instructions.as_deref())?;
         // now, where it can be told that there are none: whoever wants the first one could not
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0)).build_global();
-        pool.map_err(|error| {
-            let all = || std::thread::available_parallelism().map_or(1, usize::from);
-            Failure::Threads { threads: self.threads.unwrap_or_else(all), reason: error.to_string() }
-        })?;
+        threads::start(self.threads)?;
         kalfit_job::memory_is_there()?;
         let telling = self.telling;
         interrupt::listen(matches!(self.job, CommandJob::Fit(_)), telling.quiet);

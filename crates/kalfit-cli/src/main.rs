@@ -11,6 +11,7 @@ mod progress;
 mod show;
 mod templates;
 mod terminal;
+mod threads;
 
 use std::process::ExitCode;
 
@@ -21,6 +22,7 @@ use clap::Parser;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
+    interrupt::end_early();
     interrupt::end_in_order_without_memory();
     kalfit_data::keep_quiet_of_broken_files();
     let args = args::Args::parse();

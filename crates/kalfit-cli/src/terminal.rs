@@ -59,8 +59,7 @@ pub(crate) fn complain(text: &str) {
 pub(crate) fn warn(warnings: &[String]) {
     const MOST: usize = 20;
     for warning in warnings.iter().take(MOST) {
-        let line: String = warning.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
-        complain(&format!("warning: {line}\n"));
+        complain(&format!("warning: {}\n", kalfit::record::plain_text(warning)));
     }
     if warnings.len() > MOST {
         complain(&format!("warning: and {} more of this kind\n", warnings.len() - MOST));

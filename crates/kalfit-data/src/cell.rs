@@ -101,9 +101,7 @@ pub(crate) fn shown(cell: &[u8]) -> String {
     let text = String::from_utf8_lossy(&cell[..cell.len().min(4 * LONGEST)]);
     let mut short = String::new();
     for character in text.chars().take(LONGEST) {
-        let directs_text =
-            matches!(character, '\u{200e}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-        if character.is_control() || directs_text {
+        if character.is_control() || kalfit::record::directs_text(character) {
             short.extend(character.escape_default());
         } else {
             short.push(character);

@@ -83,7 +83,7 @@ fn window(line: &str, before: usize, marked: usize) -> (String, usize, usize) {
 
 /// One line without control characters: file names and cells may hold escape sequences.
 fn clean(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+    kalfit::record::plain_text(text)
 }
 
 #[cfg(test)]

@@ -333,6 +333,14 @@ pub enum Failure {
         /// Words for those that there are.
         machine: Vec<&'static str>,
     },
+    /// A variable of the environment that asks for no number of threads.
+    #[error("the variable RAYON_NUM_THREADS is `{found}`, expected a number from 1 to {most}")]
+    ThreadsVariable {
+        /// What it is.
+        found: String,
+        /// The most threads that may be asked for.
+        most: usize,
+    },
     /// Threads.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
@@ -487,7 +495,7 @@ impl Failure {
             Failure::Instructions { .. } => {
                 "all machines that are to give the same bits need the same instructions; `portable` is everywhere"
             }
-            Failure::Threads { .. } => "ask for fewer with `--threads`",
+            Failure::Threads { .. } | Failure::ThreadsVariable { .. } => "ask for fewer with `--threads`",
             _ => return None,
         })
     }

@@ -3,6 +3,7 @@
 
 use std::io::{self, Write};
 
+use kalfit::record::{directs_text, undirected};
 use serde::Serialize;
 use serde_json::Serializer;
 use serde_json::ser::Formatter;
@@ -140,7 +141,11 @@ impl Formatter for JsonLines {
         if self.name && self.open.len() == 1 {
             self.rows = fragment.as_bytes() == ROWS;
         }
-        writer.write_all(fragment.as_bytes())
+        match fragment.contains(directs_text) {
+            // another program reads the same text, and a person sees what is there
+            true => writer.write_all(undirected(fragment.to_owned()).as_bytes()),
+            false => writer.write_all(fragment.as_bytes()),
+        }
     }
 
     fn begin_array<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {

@@ -40,7 +40,8 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         | Failure::NoExportFormat { .. }
         | Failure::StepBesideData
         | Failure::NoRoom { .. }
-        | Failure::Threads { .. } => Error::new_err(text),
+        | Failure::Threads { .. }
+        | Failure::ThreadsVariable { .. } => Error::new_err(text),
         _ => FitError::new_err(text),
     }
 }

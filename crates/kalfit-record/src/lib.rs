@@ -24,6 +24,7 @@ mod own;
 mod parameters;
 mod phase;
 mod phases;
+mod plain_text;
 mod plan;
 mod population;
 mod posteriors;
@@ -66,6 +67,7 @@ pub use phase::{
     InformationRecord, MatrixRecord, MeanLawRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord,
     ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
+pub use plain_text::{directs_text, plain_text, undirected};
 pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use posteriors::PosteriorRecords;

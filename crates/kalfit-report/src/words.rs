@@ -3,10 +3,11 @@
 /// Characters of a text from outside that are shown.
 const MOST_SHOWN: usize = 4000;
 
-/// Text from outside as it may be shown: one line that ends, no control characters (a test's id could hold an escape sequence).
+/// Text from outside as it may be shown: one line that ends, no control characters (a test's id could hold an escape sequence), none that directs text.
 pub(crate) fn clean(text: &str) -> String {
     let more = text.chars().nth(MOST_SHOWN).map(|_| '…');
-    text.chars().take(MOST_SHOWN).map(|c| if c.is_control() { ' ' } else { c }).chain(more).collect()
+    let shown: String = text.chars().take(MOST_SHOWN).chain(more).collect();
+    kalfit::record::plain_text(&shown)
 }
 
 /// With a capital letter and a full stop.

@@ -250,6 +250,34 @@ fn a_filter_in_c_gives_the_predictions_of_kalfit() {
     }
 }
 
+/// Whatever a model says, a header is a header, and two files of similar names are two.
+#[test]
+fn hostile_texts_stay_comments() {
+    let folder = fitted();
+    let model = std::fs::read_to_string(folder.path("m.toml")).unwrap();
+    for title in ["Runs of runs/*.csv", "*/ int x; /*", "what ??/", r"/\* *\/ \\", "\u{202e} reversed", "/*/ //*"] {
+        let model = model.replace("title = \"Turntable\"", &format!("title = '{title}'"));
+        folder.write("h.toml", model.as_bytes());
+        for out in ["a-b.h", "a_b.h"] {
+            let output = folder
+                .run(&format!("export h.toml --from m.json --step 0.5 --as c --out {out} --quiet --set sigma=0.3"));
+            assert!(matches!(output.status.code(), Some(0)), "{title}: {}", shown(&output));
+        }
+        let [one, other] = ["a-b.h", "a_b.h"].map(|name| std::fs::read_to_string(folder.path(name)).unwrap());
+        let guard = |text: &str| text.lines().find(|line| line.starts_with("#ifndef")).map(str::to_owned);
+        assert!(guard(&one).is_some() && guard(&one) != guard(&other), "{:?}", guard(&one));
+        assert!(!one.contains('\u{202e}'), "{one}");
+        ["a-b.h", "a_b.h"].map(|name| std::fs::remove_file(folder.path(name)).unwrap());
+        if there_is("cc") {
+            folder.write("a.h", one.as_bytes());
+            folder.write("main.c", b"#include \"a.h\"\nint main(void) { return a_b_F[0] > 2; }\n");
+            let arguments = "-std=c99 -pedantic -Wall -Wextra -Werror -Wno-unused-variable -fsyntax-only main.c";
+            let output = Command::new("cc").args(arguments.split(' ')).current_dir(folder.path("")).output().unwrap();
+            assert!(output.status.success(), "{title}: {}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+}
+
 #[test]
 fn json_has_the_keys_that_scripts_rely_on() {
     let folder = fitted();

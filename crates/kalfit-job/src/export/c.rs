@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use kalfit::record::ExportRecord;
+use kalfit::record::{ExportRecord, plain_text};
 
 use super::origin;
 
@@ -12,7 +12,8 @@ pub(super) fn header(record: &ExportRecord, file: &str) -> String {
     let upper = prefix.to_uppercase();
     let (n, m, k) = (record.states.len(), record.measurements.len(), record.inputs.len());
     let mut text = comment(record, &prefix);
-    text += &format!("\n#ifndef KALFIT_{upper}_H\n#define KALFIT_{upper}_H\n\n");
+    let guard = guard(file, &prefix);
+    text += &format!("\n#ifndef {guard}\n#define {guard}\n\n");
     for (what, size) in [("STATES", n), ("MEASUREMENTS", m), ("INPUTS", k)] {
         text += &format!("#define {upper}_{what} {size}\n");
     }
@@ -84,10 +85,22 @@ fn comment(record: &ExportRecord, prefix: &str) -> String {
     lines.extend(record.notes.iter().map(|note| format!("Note: {note}")));
     let mut text = String::from("/*\n");
     for line in lines {
-        let line: String = line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
-        let _ = writeln!(text, "{}", format!(" * {}", line.replace("*/", "* /")).trim_end());
+        let _ = writeln!(text, "{}", format!(" * {}", commented(&line)).trim_end());
     }
     text + " */\n"
+}
+
+/// A line as a comment may have it: it neither begins nor ends a comment, and has no trigraph.
+fn commented(line: &str) -> String {
+    let line = plain_text(line);
+    let mut safe = String::with_capacity(line.len());
+    for c in line.chars() {
+        if matches!((safe.chars().last(), c), (Some('/'), '*') | (Some('*'), '/') | (Some('?'), '?')) {
+            safe.push(' ');
+        }
+        safe.push(c);
+    }
+    safe.trim_end_matches(['\\', ' ']).to_owned()
 }
 
 fn numbers(all: &[f64]) -> String {
@@ -102,6 +115,17 @@ fn identifier(file: &str) -> String {
         Some(first) if first.is_ascii_alphabetic() => letters,
         _ => format!("filter_{}", letters.trim_start_matches('_')).trim_end_matches('_').to_owned(),
     }
+}
+
+/// The include guard; where the name of the file is not what C calls it, the file has a number of its own.
+fn guard(file: &str, prefix: &str) -> String {
+    let upper = prefix.to_uppercase();
+    if file == prefix {
+        return format!("KALFIT_{upper}_H");
+    }
+    // FNV-1a, which any reader can check
+    let hash = file.bytes().fold(0x811c_9dc5u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+    format!("KALFIT_{upper}_{hash:08X}_H")
 }
 
 /// A text in quotes; bytes beyond ASCII, and question marks, which may begin trigraphs, are escaped.
@@ -124,6 +148,9 @@ mod tests {
     #[test]
     fn names_and_texts_are_those_of_c() {
         assert_eq!(identifier("Gyro bench-2"), "gyro_bench_2");
+        assert_eq!(guard("a_b", "a_b"), "KALFIT_A_B_H");
+        assert!(guard("a-b", "a_b") != guard("a_b", "a_b") && guard("a-b", "a_b") != guard("A_B", "a_b"));
+        assert_eq!(commented("Runs of runs/*.csv */ ??/ \\"), "Runs of runs/ *.csv * / ? ?/");
         assert_eq!(identifier("3axis"), "filter_3axis");
         assert_eq!(identifier("µ"), "filter");
         assert_eq!(literal("a \"b\" \\ ??/ µ"), r#""a \"b\" \\ \?\?/ \302\265""#);

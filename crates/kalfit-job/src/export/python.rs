@@ -1,6 +1,6 @@
 //! A module of Python: plain arrays of numpy and lists of names.
 
-use kalfit::record::ExportRecord;
+use kalfit::record::{ExportRecord, directs_text};
 
 use super::origin;
 
@@ -46,6 +46,7 @@ fn documentation(record: &ExportRecord) -> String {
             '\\' | '"' => escaped.extend(['\\', c]),
             '\n' => escaped.push(c),
             c if c.is_control() => escaped.push(' '),
+            c if directs_text(c) => escaped += &format!("\\u{:04x}", u32::from(c)),
             c => escaped.push(c),
         }
     }
@@ -74,7 +75,7 @@ fn literal(text: &str) -> String {
     for c in text.chars() {
         match c {
             '"' | '\\' => quoted.extend(['\\', c]),
-            c if c.is_control() => quoted += &format!("\\u{:04x}", u32::from(c)),
+            c if c.is_control() || directs_text(c) => quoted += &format!("\\u{:04x}", u32::from(c)),
             c => quoted.push(c),
         }
     }

@@ -74,5 +74,5 @@ fn page(record: &FitRecord, test: Option<&RatioRecord>, along: Option<&AlongReco
         provenance::section(record),
     ];
     let sections: Vec<PageSection> = sections.into_iter().flatten().collect();
-    shell::document(record, &sections, &charts)
+    kalfit::record::undirected(shell::document(record, &sections, &charts))
 }
