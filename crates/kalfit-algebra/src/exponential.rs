@@ -68,8 +68,8 @@ fn scaling(f: &[f64], m: usize, step: f64) -> Result<(i32, f64), FlowError> {
     if !reach.is_finite() {
         return Err(FlowError::NotFinite);
     }
-    let doublings = if reach > 0.5 { (2.0 * reach).log2().ceil() as i32 } else { 0 };
-    // At most about 1026 doublings, since `reach` is finite; the power has two factors, since 2^1026 is not finite.
+    let doublings = if reach > 0.5 { (reach.log2() + 1.0).ceil() as i32 } else { 0 };
+    // 2 × `reach` may overflow where `reach` does not. At most about 1026 doublings, since `reach` is finite; the power has two factors, since 2^1026 is not finite.
     Ok((doublings, step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2)))
 }
 

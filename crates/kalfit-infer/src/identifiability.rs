@@ -211,34 +211,32 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
 
 /// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A single
 /// coordinate is such a direction when diagonal entry × size² of the information is negligible against the largest such
-/// number of all coordinates and against `elsewhere`. The information is computed twice rather than stored: for many
-/// states a copy would take most of the memory.
+/// number of all coordinates and against `elsewhere`; such coordinates cost nothing more. The information is computed
+/// twice rather than stored: for many states a copy would take most of the memory.
 pub(crate) fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
-    let mut scaled = information();
-    let (n, diagonal) = (scaled.nrows(), scaled.diagonal());
+    let whole = information();
+    let (n, diagonal) = (whole.nrows(), whole.diagonal());
     let own = |i: usize| diagonal[i] * sizes[i].powi(2);
     let largest = (0..n).map(own).fold(elsewhere, f64::max);
-    let known = |i: usize| own(i) > 1e-14 * largest;
-    let scale = DVector::from_fn(n, |i, _| if known(i) { diagonal[i].sqrt().recip() } else { 1.0 });
-    let rescale = |matrix: &mut DMatrix<f64>| {
-        for (j, mut column) in matrix.column_iter_mut().enumerate() {
-            for (i, x) in column.iter_mut().enumerate() {
-                *x = if known(i) && known(j) { scale[i] * *x * scale[j] } else { 0.0 };
-            }
+    let (known, unknown): (Vec<usize>, Vec<usize>) = (0..n).partition(|&i| own(i) > 1e-14 * largest);
+    let scale: Vec<f64> = known.iter().map(|&i| diagonal[i].sqrt().recip()).collect();
+    let scaled = |whole: DMatrix<f64>| {
+        let mut block = if unknown.is_empty() { whole } else { whole.select_rows(&known).select_columns(&known) };
+        for (mut column, own) in block.column_iter_mut().zip(&scale) {
+            column.iter_mut().zip(&scale).for_each(|(x, other)| *x *= own * other);
         }
+        block
     };
-    rescale(&mut scaled);
-    let flat = if Regular::within(scaled).is_some() {
-        let unknown: Vec<usize> = (0..n).filter(|&i| !known(i)).collect();
-        let mut flat = DMatrix::zeros(n, unknown.len());
-        unknown.iter().enumerate().for_each(|(c, &i)| flat[(i, c)] = 1.0);
-        flat
-    } else {
-        let mut scaled = information();
-        rescale(&mut scaled);
-        let (values, vectors) = symmetric::eigen(&scaled);
-        vectors.select_columns(&(0..n).filter(|&k| values[k] < ZERO_EIGENVALUE).collect::<Vec<_>>())
-    };
-    let simple = simplest(flat);
-    simple.column_iter().map(|v| v.component_mul(&scale)).collect()
+    let axis = |&i: &usize| DVector::from_fn(n, |k, _| f64::from(u8::from(k == i)));
+    let mut found: Vec<DVector<f64>> = unknown.iter().map(axis).collect();
+    if Regular::within(scaled(whole)).is_none() {
+        let (values, vectors) = symmetric::eigen(&scaled(information()));
+        let flat: Vec<usize> = (0..known.len()).filter(|&k| values[k] < ZERO_EIGENVALUE).collect();
+        found.extend(simplest(vectors.select_columns(&flat)).column_iter().map(|v| {
+            let mut direction = DVector::zeros(n);
+            known.iter().zip(&scale).zip(v.iter()).for_each(|((&i, scale), x)| direction[i] = x * scale);
+            direction
+        }));
+    }
+    found
 }

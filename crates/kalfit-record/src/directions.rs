@@ -9,6 +9,8 @@ use kalfit_model::PhasedModel;
 
 /// Largest number of terms of a direction that are written out.
 const MOST_TERMS: usize = 6;
+/// Largest number of entries of a direction that are all listed, zeros too.
+const MOST_LISTED: usize = 500;
 
 /// Phases and names of the entries of a direction.
 struct Entries {
@@ -16,8 +18,30 @@ struct Entries {
     phase: Vec<usize>,
     /// Name of each entry without the name of the phase.
     own: Vec<String>,
+    /// Names of the phases.
+    blocks: Vec<String>,
     /// Name of each entry among all phases, as in a combination: `align.bias`, `cov(align.bias, align.tilt)`.
     full: Vec<String>,
+}
+
+/// Entries of the quantities that directions belong to, each made once.
+struct EntriesOf {
+    mean: Entries,
+    covariance: Option<Entries>,
+}
+
+impl EntriesOf {
+    fn new(model: &PhasedModel, directions: &[Direction]) -> EntriesOf {
+        let of_covariance = directions.iter().any(|direction| direction.quantity == Quantity::Covariance);
+        EntriesOf { mean: Entries::mean(model, true), covariance: of_covariance.then(|| Entries::covariance(model)) }
+    }
+
+    fn get(&self, quantity: Quantity) -> &Entries {
+        match (quantity, &self.covariance) {
+            (Quantity::Covariance, Some(covariance)) => covariance,
+            _ => &self.mean,
+        }
+    }
 }
 
 /// The part of a direction in one phase.
@@ -29,16 +53,9 @@ struct PhaseDirection {
 }
 
 impl Entries {
-    fn of(model: &PhasedModel, quantity: Quantity) -> Entries {
-        match quantity {
-            Quantity::Mean => Entries::mean(model, true),
-            Quantity::Covariance => Entries::covariance(model),
-        }
-    }
-
     /// Elements of μ, then regression coefficients as `state per column`.
     fn mean(model: &PhasedModel, coefficients: bool) -> Entries {
-        let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
+        let mut entries = Entries::none(model);
         let (cuts, full) = (BlockCut::blocks(model), model.element_names());
         for cut in &cuts {
             for (own, k) in cut.states().into_iter().zip(cut.elements.clone()) {
@@ -58,7 +75,7 @@ impl Entries {
 
     /// Elements of Σ within a phase, as `first, second`.
     fn covariance(model: &PhasedModel) -> Entries {
-        let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
+        let mut entries = Entries::none(model);
         let full = model.element_names();
         for cut in BlockCut::blocks(model) {
             let (own, full) = (cut.states(), &full[cut.elements.clone()]);
@@ -73,6 +90,11 @@ impl Entries {
         entries
     }
 
+    fn none(model: &PhasedModel) -> Entries {
+        let blocks = BlockCut::blocks(model).iter().map(|cut| cut.name().to_owned()).collect();
+        Entries { phase: Vec::new(), own: Vec::new(), blocks, full: Vec::new() }
+    }
+
     fn add(&mut self, cut: &BlockCut<'_>, own: String, full: String) {
         self.phase.push(cut.index);
         self.own.push(own);
@@ -85,15 +107,28 @@ impl Entries {
         own.map(|(name, _)| name.clone()).collect()
     }
 
+    /// A direction in one phase with the names of its entries; of very many entries only those that take part.
+    fn listed(&self, phase: usize, direction: Vec<f64>) -> (Vec<f64>, Vec<String>) {
+        if direction.len() <= MOST_LISTED {
+            return (direction, self.names(phase));
+        }
+        let own = self.own.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
+        let part = own.zip(&direction).filter(|(_, weight)| **weight != 0.0);
+        part.map(|((name, _), weight)| (*weight, name.clone())).unzip()
+    }
+
+    /// The phases that a direction involves.
+    fn mixed(&self, direction: &[f64]) -> Vec<usize> {
+        let mut involved = vec![self.blocks.len() == 1; self.blocks.len()];
+        let own = direction.iter().zip(&self.phase).filter(|(weight, _)| **weight != 0.0);
+        own.for_each(|(_, &phase)| involved[phase] = true);
+        (0..involved.len()).filter(|&phase| involved[phase]).collect()
+    }
+
     /// The part of a direction in each phase that the direction involves.
-    fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<PhaseDirection> {
-        let cuts = BlockCut::blocks(model);
-        let counts = |phase: &usize| {
-            let mut own = direction.iter().zip(&self.phase).filter(|(_, of)| *of == phase);
-            cuts.len() == 1 || own.any(|(weight, _)| *weight != 0.0)
-        };
-        let mixed: Vec<usize> = (0..cuts.len()).filter(counts).collect();
-        let names: Vec<String> = mixed.iter().map(|&i| cuts[i].name().to_owned()).collect();
+    fn parts(&self, direction: &[f64]) -> Vec<PhaseDirection> {
+        let mixed = self.mixed(direction);
+        let names: Vec<String> = mixed.iter().map(|&i| self.blocks[i].clone()).collect();
         let part = |&phase: &usize| {
             let own = direction.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
             let direction = own.map(|(weight, _)| *weight).collect();
@@ -132,16 +167,18 @@ impl UnidentifiedRecord {
         explanations: &[Explanation],
     ) -> Vec<Vec<UnidentifiedRecord>> {
         let mut records = vec![Vec::new(); BlockCut::blocks(model).len()];
+        let known = EntriesOf::new(model, directions);
         for (direction, explanation) in directions.iter().zip(explanations) {
-            let entries = Entries::of(model, direction.quantity);
-            for PhaseDirection { phase, direction: part, phases } in entries.parts(model, &direction.direction) {
+            let entries = known.get(direction.quantity);
+            for PhaseDirection { phase, direction: part, phases } in entries.parts(&direction.direction) {
+                let (part, elements) = entries.listed(phase, part);
                 records[phase].push(UnidentifiedRecord {
                     what: match direction.quantity {
                         Quantity::Mean => "mean".to_owned(),
                         Quantity::Covariance => "covariance".to_owned(),
                     },
                     direction: part,
-                    elements: entries.names(phase),
+                    elements,
                     tests: explanation.tests.clone(),
                     reason: words(model, &explanation.reason),
                     phases,
@@ -159,7 +196,7 @@ impl WeakRecord {
         let entries = Entries::mean(model, false);
         let mut records = vec![Vec::new(); BlockCut::blocks(model).len()];
         for weak in &seen.weak {
-            for PhaseDirection { phase, direction, phases } in entries.parts(model, &weak.direction) {
+            for PhaseDirection { phase, direction, phases } in entries.parts(&weak.direction) {
                 let (leading_test, leading_share) = named(&weak.leading);
                 let condition = weak.condition;
                 records[phase].push(WeakRecord { direction, condition, leading_test, leading_share, phases });
@@ -202,9 +239,10 @@ pub fn crossing_notes(
     seen: &Observability,
 ) -> Vec<String> {
     let mut notes = Vec::new();
+    let known = EntriesOf::new(model, directions);
     for (direction, explanation) in directions.iter().zip(explanations) {
-        let entries = Entries::of(model, direction.quantity);
-        if entries.parts(model, &direction.direction).len() > 1 {
+        let entries = known.get(direction.quantity);
+        if entries.mixed(&direction.direction).len() > 1 {
             let of = if direction.quantity == Quantity::Mean { " of the means" } else { "" };
             let of_what = if model.levels.is_empty() { "phases" } else { "tests" };
             notes.push(format!(
@@ -215,7 +253,7 @@ pub fn crossing_notes(
         }
     }
     let entries = Entries::mean(model, false);
-    let crosses = |weak: &&WeakDirection| entries.parts(model, &weak.direction).len() > 1;
+    let crosses = |weak: &&WeakDirection| entries.mixed(&weak.direction).len() > 1;
     notes.extend(seen.weak.iter().filter(crosses).map(|weak| {
         format!(
             "weakly determined over the phases: the combination {} of the means is known {} times less precisely than the best known one, in comparable units",

@@ -63,7 +63,7 @@ fn with_parameters(
     };
     let values = || (0..k).map(along).collect::<Result<Vec<_>, _>>().map(Some);
     let free = problem.covariance.free_directions(&problem.covariance.chart(&point.root));
-    let moving = moving(problem.mean_jacobian(), &free);
+    let moving = moving((problem.mean_jacobian(), &free), sums);
     let laws = ElementLaws::of(problem, &law).only(&moving);
     let (alpha, units) = (objective.alpha(&sought), units(objective));
     let elsewhere = |law| place(&alpha, law);
@@ -81,10 +81,13 @@ fn with_parameters(
     if found.is_empty() || every == 1 { Ok(found) } else { of_every(1) }
 }
 
-/// Rows of (mean coordinates, elements of Σ) that are not held.
-fn moving(means: &DMatrix<f64>, free: &Sparse) -> Vec<usize> {
+/// Rows of (mean coordinates, elements of Σ) that are not held and that some test informs: what no test informs has no
+/// information in common with a parameter either.
+fn moving((means, free): (&DMatrix<f64>, &Sparse), sums: &Sums) -> Vec<usize> {
     let sizes = means.row_iter().map(|row| row.norm()).chain(free.row_sizes());
-    sizes.enumerate().filter(|(_, size)| *size > 0.0).map(|(row, _)| row).collect()
+    let elements = sums.expected_information().diagonal();
+    let informed = sums.mean_information.diagonal().iter().chain(elements.iter()).map(|x| *x > 0.0).collect::<Vec<_>>();
+    sizes.enumerate().filter(|(row, size)| *size > 0.0 && informed[*row]).map(|(row, _)| row).collect()
 }
 
 /// The null space of the information, in directions that move values of α and (μ, Σ) both. `of_values`: information of α,
