@@ -20,7 +20,8 @@ Files that exist are never replaced.";
 
 pub(crate) const SCHEMA: &str = "\
 Examples:
-  kalfit schema > kalfit-model.schema.json
+  kalfit schema > kalfit-model.schema.json   beside the models
+  kalfit schema | jq .properties.data        the keys of `[data]`
 
 An editor that knows TOML uses it for a model file whose first line is `#:schema kalfit-model.schema.json`. \
 `kalfit init` writes both.";

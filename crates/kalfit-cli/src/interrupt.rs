@@ -55,8 +55,9 @@ pub(crate) fn listen(searches: bool, quiet: bool) {
             }
             return;
         }
-        kalfit_job::abandon();
-        end();
+        if kalfit_job::abandon() {
+            end();
+        }
     });
 }
 

@@ -344,11 +344,29 @@ pub enum DataError {
         /// What it said.
         source: Box<ParquetError>,
     },
-    /// The Arrow library refused the file.
-    #[error("{file} is not a sound Arrow IPC file: {source}")]
+    /// The file, or a column of it, is encrypted.
+    #[error("{file} is encrypted, and encrypted Parquet files are not read")]
+    Encrypted {
+        /// The file.
+        file: String,
+    },
+    /// The times of a column are in a zone that nobody knows.
+    #[error("{file}, column `{column}`: the time zone `{found}` is not known")]
+    TimeZone {
+        /// The file.
+        file: String,
+        /// The column.
+        column: String,
+        /// The zone.
+        found: String,
+    },
+    /// The Arrow library refused what is in the file.
+    #[error("{file} is not a sound {format} file: {source}")]
     Arrow {
         /// The file.
         file: String,
+        /// The kind of file.
+        format: &'static str,
         /// What it said.
         source: Box<ArrowError>,
     },

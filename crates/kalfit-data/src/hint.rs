@@ -48,6 +48,8 @@ impl DataError {
             DataError::MixedTimes { .. } => "write the whole column one way".into(),
             DataError::Codec { .. } => "write the file again with snappy or zstd".into(),
             DataError::Oversized { .. } => "the file is damaged, or made to exhaust memory; if it is sound, split it into several files".into(),
+            DataError::Encrypted { .. } => "write the table again without encryption".into(),
+            DataError::TimeZone { .. } => "write the column with an offset such as `+01:00`, or with a zone such as `Europe/Berlin`".into(),
             DataError::Parquet { .. } | DataError::Arrow { .. } | DataError::Crashed { .. } => "the file may be damaged, or not copied whole; if other programs read it, write it again with one of them".into(),
             DataError::Memory { .. } => "see that the input ends; rows are kept until those of their test are read, so write these one below the other".into(),
             DataError::Io { .. } | DataError::Empty { .. } | DataError::NoRows { .. } => return None,

@@ -116,9 +116,29 @@ pub(crate) fn date_text(days: i64) -> String {
     }
 }
 
+/// Whether a time zone is an offset or has a name that the system knows; true of any name where the system knows none.
+pub(crate) fn is_known_zone(zone: &str) -> bool {
+    is_offset(zone) || TimeZone::get(zone).is_ok() || jiff::tz::db().is_definitively_empty()
+}
+
+/// `+01:00`, `-0530`, `+01`.
+fn is_offset(zone: &str) -> bool {
+    let Some(digits) = zone.strip_prefix(['+', '-']) else { return matches!(zone, "UTC" | "GMT" | "Z" | "z") };
+    let plain = digits.replace(':', "");
+    matches!(plain.len(), 2 | 4) && plain.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn zones_are_offsets_or_names() {
+        for zone in ["UTC", "+01:00", "-0530", "+01"] {
+            assert!(is_known_zone(zone), "{zone}");
+        }
+        assert!(!is_offset("Mars/Olympus") && !is_offset("+1:0") && !is_offset("+ab:cd"));
+    }
 
     #[test]
     fn iso_texts_are_read_to_the_nanosecond() {

@@ -18,7 +18,7 @@ use crate::document::Document;
 use crate::evidence::{CommandInputs, entries};
 use crate::failure::Failure;
 use crate::job::{ExchangeJob, ExchangedTable, JobDone, files};
-use crate::output::{OutputTarget, PendingFile};
+use crate::output::{OutputTarget, PendingFile, finish_together};
 use crate::truth::error::TruthError;
 use crate::work::{JobWatch, JobWork};
 use crate::{model, truth};
@@ -131,7 +131,8 @@ pub(crate) fn run<M: ExchangeMaker>(
     filing.work.go_on()?;
     let (tests, rows) = (filing.tests.len(), filing.rows);
     filing.close()?;
-    let record = ExchangedTable { rows, row: M::ROW, tests, table: pending.finish()? };
+    let [table] = finish_together([Some(pending)])?;
+    let record = ExchangedTable { rows, row: M::ROW, tests, table };
     Ok(JobDone::new(record, notes, output.name().into_iter().collect()))
 }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Why a result file cannot be written.
@@ -327,12 +328,43 @@ fn is_mounted(target: &Path) -> bool {
 /// The temporary files that there are.
 static TEMPORARY: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
+/// Whether all files of a command are in place.
+static IN_PLACE: AtomicBool = AtomicBool::new(false);
+
 /// Removes the temporary files of all jobs, and keeps jobs from making any more: for a process that ends at once, while jobs
-/// run. Files that are whole stay.
-pub fn abandon() {
+/// run. False, and nothing is removed, where all files of the command are in place already: it is then done but for its last
+/// words. Files that are whole stay.
+pub fn abandon() -> bool {
     let known = TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner);
+    if IN_PLACE.load(Ordering::SeqCst) {
+        return false;
+    }
     known.iter().for_each(|path| drop(std::fs::remove_file(path)));
     std::mem::forget(known); // whoever wants another one waits for the end
+    true
+}
+
+/// Moves all files of a command into place, all or none as far as the system lets: what can fail or take long is done before
+/// the first is moved, and no signal ends the process between two of them. The files themselves where they have no name.
+pub(crate) fn finish_together<const N: usize>(
+    mut files: [Option<PendingFile<'_>>; N],
+) -> Result<[Option<std::fs::File>; N], OutputError> {
+    for file in files.iter().flatten() {
+        file.prepare()?;
+    }
+    let mut found = [const { None }; N];
+    // held until all are moved; `files` outlive it, as each takes it when it goes
+    let _known = TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner);
+    for (place, file) in found.iter_mut().zip(&mut files) {
+        if let Some(PendingFile(PendingPlace::Beside(output, temporary))) = file {
+            let own = temporary.file.take().expect("it is not in its place yet");
+            own.persist(&output.target).map_err(|error| output.io(error.error))?;
+        } else if let Some(PendingFile(PendingPlace::Nameless(own))) = file.take() {
+            *place = Some(own);
+        }
+    }
+    IN_PLACE.store(true, Ordering::SeqCst);
+    Ok(found)
 }
 
 /// A temporary file that is known until it is gone or in its place.
@@ -431,16 +463,23 @@ impl PendingFile<'_> {
         }
     }
 
-    /// Moves it into place; the file itself when it has none.
-    pub(crate) fn finish(self) -> Result<Option<std::fs::File>, OutputError> {
-        let (output, file) = match self.0 {
-            PendingPlace::Beside(output, file) => (output, file),
-            PendingPlace::Nameless(file) => return Ok(Some(file)),
-        };
+    /// Does what can take long or fail before a file is moved.
+    fn prepare(&self) -> Result<(), OutputError> {
+        let PendingPlace::Beside(output, file) = &self.0 else { return Ok(()) };
         file.file().sync_all().map_err(|source| output.io(source))?;
         if let Ok(old) = std::fs::metadata(&output.target) {
             std::fs::set_permissions(&file.path, old.permissions()).map_err(|source| output.io(source))?;
         }
+        Ok(())
+    }
+
+    /// Moves it into place; the file itself when it has none.
+    pub(crate) fn finish(self) -> Result<Option<std::fs::File>, OutputError> {
+        self.prepare()?;
+        let (output, file) = match self.0 {
+            PendingPlace::Beside(output, file) => (output, file),
+            PendingPlace::Nameless(file) => return Ok(Some(file)),
+        };
         file.persist(&output.target).map_err(|source| output.io(source))?;
         Ok(None)
     }

@@ -16,7 +16,7 @@ use kalfit_spec::Spec;
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::job::{JobDone, SimulateJob, SimulatedEnsemble, files};
-use crate::output::{OutputFile, OutputTarget, PendingFile};
+use crate::output::{OutputFile, OutputTarget, PendingFile, finish_together};
 use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
@@ -94,8 +94,7 @@ impl SimulationTask<'_> {
         let mut initial = Vec::new();
         let keep = matches!(output, OutputTarget::Nameless).then_some(&mut initial);
         let rows = self.fill((&data_file, format), (states_file.as_ref(), keep), work)?;
-        let table = data_file.finish()?;
-        states_file.map(PendingFile::finish).transpose()?;
+        let [table, _] = finish_together([Some(data_file), states_file])?;
         Ok(WrittenEnsemble { rows, table, initial })
     }
 

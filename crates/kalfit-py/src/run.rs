@@ -74,21 +74,42 @@ pub(crate) fn run<R: Send + 'static>(
     RunOptions(threads, progress): RunOptions<'_>,
     job: impl FnOnce(&mut dyn JobWatch) -> Result<R, Failure> + Send + 'static,
 ) -> PyResult<JobEnd<R>> {
-    let pool = threads.map(pool).transpose()?;
+    let pool = threads.map_or_else(shared_pool, |threads| pool(threads).map(Arc::new))?;
     let (sender, receiver) = channel();
     let stop = Arc::new(AtomicBool::new(false));
     let mut teller = MessageSender { sender, stop: stop.clone(), wanted: progress.is_some(), last: None };
     let work = move || {
-        let result = match pool {
-            Some(pool) => pool.install(|| job(&mut teller)),
-            None => job(&mut teller),
-        };
+        let result = pool.install(|| job(&mut teller));
         let _ = teller.sender.send(JobMessage::Done(Box::new(result)));
     };
     let thread = std::thread::Builder::new().name("kalfit".to_owned()).spawn(work);
     thread.map_err(|error| exception(&Failure::Threads { threads: 1, reason: error.to_string() }))?;
     let listener = MessageListener { receiver: Mutex::new(receiver), stop, progress };
     listener.wait(py)
+}
+
+/// The threads of this process, with its id: a forked child has none of those of its parent.
+static SHARED: Mutex<Option<(u32, Arc<rayon::ThreadPool>)>> = Mutex::new(None);
+
+/// The threads that jobs share which ask for no number of their own; one for each processor.
+fn shared_pool() -> PyResult<Arc<rayon::ThreadPool>> {
+    let own = std::process::id();
+    // a child that was forked while its parent held the lock never gets it
+    let Ok(mut shared) = SHARED.try_lock() else { return pool(processors()).map(Arc::new) };
+    if let Some((id, pool)) = &*shared
+        && *id == own
+    {
+        return Ok(pool.clone());
+    }
+    let made = Arc::new(pool(processors())?);
+    if let Some(of_parent) = shared.replace((own, made.clone())) {
+        std::mem::forget(of_parent); // its threads are not here, and nobody may wait for them
+    }
+    Ok(made)
+}
+
+fn processors() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 pub(crate) fn pool(threads: usize) -> PyResult<rayon::ThreadPool> {

@@ -43,9 +43,19 @@ fn the_reference_of_commands_is_their_help() {
 /// The keys that a file of kalfit-spec knows, by the name of the list.
 fn keys(file: &str, list: &str) -> Vec<String> {
     let text = std::fs::read_to_string(root().join("crates/kalfit-spec/src").join(file)).unwrap();
-    let body = text.split(&format!("const {list}: [&str; ")).nth(1).unwrap_or_else(|| panic!("{file} has no {list}"));
-    let body = body.split("];").next().unwrap().split('=').nth(1).unwrap();
-    body.split('"').skip(1).step_by(2).map(str::to_owned).collect()
+    let after = |start: &str| text.split(start).nth(1);
+    if let Some(body) = after(&format!("const {list}: [&str; ")) {
+        let body = body.split("];").next().unwrap().split('=').nth(1).unwrap();
+        return body.split('"').skip(1).step_by(2).map(str::to_owned).collect();
+    }
+    let body = after(&format!("const {list}: &[Key] =")).unwrap_or_else(|| panic!("{file} has no {list}"));
+    let body = body.split("];").next().unwrap();
+    let named = |body: &str| -> Vec<String> {
+        body.split("key(").skip(1).filter_map(|entry| Some(entry.split('"').nth(1)?.to_owned())).collect()
+    };
+    let shared = body.split(['[', ',', '\n', ' ']).filter(|word| !word.is_empty());
+    let shared = shared.filter_map(|word| after(&format!("const {word}: Key =")));
+    named(body).into_iter().chain(shared.flat_map(|entry| named(entry.split(';').next().unwrap()))).collect()
 }
 
 /// The names of processes that kalfit-spec knows.

@@ -22,6 +22,7 @@ const COMMANDS: [&str; 19] = [
     "datasheet",
     "compare",
     "report",
+    "schema",
     "completions",
     "man",
 ];
@@ -67,7 +68,7 @@ fn the_page_of_the_program_has_all_commands() {
 fn every_command_has_a_page_with_its_options_and_examples() {
     let folder = Folder::new(&[]);
     let told = shown(&folder.run("man new/man1"));
-    assert!(told.ends_with("Wrote 21 pages to new/man1\n"), "{told}");
+    assert!(told.ends_with("Wrote 22 pages to new/man1\n"), "{told}");
     let page = |name: &str| {
         std::fs::read_to_string(folder.path(&format!("new/man1/{name}.1")))
             .unwrap_or_else(|error| panic!("{name}: {error}"))

@@ -65,8 +65,8 @@ fn version_and_help() {
 
     Global options:
       -q, --quiet               Print nothing but errors
-      -j, --threads <N>         Threads to use; the results do not depend on it [default: all
-                                processors]
+      -j, --threads <N>         Threads to use, at most four for each processor; the results do not
+                                depend on it [default: all processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
           --instructions <SET>  Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`;
@@ -247,7 +247,8 @@ fn version_and_help() {
               Print nothing but errors
 
       -j, --threads <N>
-              Threads to use; the results do not depend on it [default: all processors]
+              Threads to use, at most four for each processor; the results do not depend on it [default:
+              all processors]
 
           --color <WHEN>
               When to colour what is printed: `auto`, `always` or `never`
@@ -295,8 +296,8 @@ fn version_and_help() {
 
     Global options:
       -q, --quiet               Print nothing but errors
-      -j, --threads <N>         Threads to use; the results do not depend on it [default: all
-                                processors]
+      -j, --threads <N>         Threads to use, at most four for each processor; the results do not
+                                depend on it [default: all processors]
           --color <WHEN>        When to colour what is printed: `auto`, `always` or `never` [default:
                                 auto]
           --instructions <SET>  Processor instructions to use: `portable`, `neon`, `avx2` or `avx512`;

@@ -158,11 +158,11 @@ fn choices_that_are_not_known_are_refused() {
         assert_eq!(output.status.code(), Some(2), "{}", shown(&output));
         shown(&output)
     };
-    assert_snapshot!(refused("--intervals bootstrap"), @"
+    assert_snapshot!(refused("--intervals jackknife"), @"
     exit 2
     ----- stdout
     ----- stderr
-    error: invalid value 'bootstrap' for '--intervals <INTERVALS>'
+    error: invalid value 'jackknife' for '--intervals <INTERVALS>'
       [possible values: auto, wald, profile]
 
     For more information, try '--help'.

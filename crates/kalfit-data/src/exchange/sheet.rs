@@ -25,7 +25,7 @@ use crate::place::CellPlace;
 use crate::table::arrays::{NumberArray, TextArray, is_numeric, misfit};
 use crate::table::guard::guarded;
 use crate::table::parquet::survey::{RowGroupSurvey, survey};
-use crate::table::parquet::{ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
+use crate::table::parquet::{ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized, unless_encrypted};
 
 /// Rows decoded at a time: they may hold matrices.
 const ROWS: usize = 256;
@@ -102,7 +102,8 @@ pub(super) fn open<R: ChunkReader>(file: &str, bytes: R) -> Result<OpenParquet<R
     let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
     guarded(file, PARQUET, || {
         let length = bytes.len();
-        let about = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
+        let loaded = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new());
+        let about = loaded.map_err(|error| unless_encrypted(file, &bytes, failed(error)))?;
         refuse_oversized(file, about.metadata(), length)?;
         refuse_long_lists(file, about.metadata(), length)?;
         Ok(OpenParquet { bytes, about })
@@ -136,7 +137,8 @@ impl<'a> ExchangeSheet<'a> {
     /// The next rows; `None` at the end.
     pub(super) fn next(&mut self) -> Result<Option<SheetBatch<'a>>, DataError> {
         let file = self.plan.file;
-        let failed = |source: ArrowError| DataError::Arrow { file: file.to_owned(), source: Box::new(source) };
+        let failed =
+            |source: ArrowError| DataError::Arrow { file: file.to_owned(), format: PARQUET, source: Box::new(source) };
         let (reader, shapes) = (&mut self.reader, &self.plan.shapes);
         let batch = guarded(file, PARQUET, || {
             let Some(batch) = reader.next().transpose().map_err(failed)? else { return Ok(None) };

@@ -1,8 +1,7 @@
 //! Record batches of Parquet and Arrow IPC into blocks.
 
 use arrow_array::{Array, RecordBatch};
-use arrow_schema::ArrowError;
-use arrow_schema::Schema;
+use arrow_schema::{ArrowError, DataType, Schema};
 
 use super::ahead::{BlockTask, BlockTasks, TableProgress};
 use super::arrays::{NumberArray, TextArray, TimeArray, misfit};
@@ -10,7 +9,7 @@ use super::guard::guarded;
 use crate::cell::CellFault;
 use crate::error::DataError;
 use crate::fill::{BadRow, BlockFiller, ColumnwiseRows};
-use crate::moment::Moment;
+use crate::moment::{Moment, is_known_zone};
 use crate::numbering::RowNumbering;
 use crate::wanted::{WantedColumn, WantedColumns};
 
@@ -56,6 +55,12 @@ impl<'a> BatchForm<'a> {
         let positions = self.wanted.positions(self.file, &names)?;
         for (column, &position) in self.wanted.columns.iter().zip(&positions) {
             let data_type = schema.field(position).data_type();
+            if let DataType::Timestamp(_, Some(zone)) = data_type
+                && !is_known_zone(zone)
+            {
+                let (file, column) = (self.file.to_owned(), column.name.clone());
+                return Err(DataError::TimeZone { file, column, found: zone.to_string() });
+            }
             if let Some(expected) = misfit(data_type, column.is_number(), column.is_time, column.is_text()) {
                 return Err(DataError::ColumnType {
                     file: self.file.to_owned(),
@@ -89,9 +94,11 @@ impl<'a> BatchForm<'a> {
         guarded(self.file, self.format, || {
             let columns = self.wanted.columns.iter().zip(positions);
             let decoded = columns.map(|(column, &position)| DecodedColumn::new(column, batch.column(position)));
-            decoded
-                .collect::<Result<_, _>>()
-                .map_err(|source| DataError::Arrow { file: self.file.to_owned(), source: Box::new(source) })
+            decoded.collect::<Result<_, _>>().map_err(|source| DataError::Arrow {
+                file: self.file.to_owned(),
+                format: self.format,
+                source: Box::new(source),
+            })
         })
     }
 }

@@ -65,3 +65,40 @@ def as_lists(of):
 pq.write_table(as_lists(lambda _: pa.large_list(pa.float64())), "estimates_large.parquet", compression="zstd")
 pq.write_table(as_lists(lambda name: pa.list_(pa.float32(), lists[name])), "estimates_single.parquet")
 pl.DataFrame(rows).write_parquet("estimates_polars.parquet")
+
+
+def hostile() -> None:
+    """Texts that are no UTF-8, a zone that nobody knows, and encryption of a column and of everything."""
+    import base64
+
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+    import pyarrow.parquet.encryption as encryption
+
+    raw = pa.array([b"a", b"a", b"\xff\xfe", b"b"], type=pa.binary())
+    broken = pa.Array.from_buffers(pa.string(), 4, raw.buffers())
+    y = [1.0, 2.0, 3.0, 2.0]
+    pq.write_table(pa.table({"id": broken, "y": y}), "broken_utf8.parquet", use_dictionary=False)
+    times = pa.array([0, 1000, 2000, 3000], type=pa.timestamp("ms", tz="Mars/Olympus"))
+    pq.write_table(pa.table({"id": list("aabb"), "t": times, "y": y}), "unknown_zone.parquet")
+
+    class Keys(encryption.KmsClient):
+        def __init__(self, _: object) -> None:
+            super().__init__()
+
+        def wrap_key(self, key: bytes, _: str) -> bytes:
+            return base64.b64encode(key)
+
+        def unwrap_key(self, wrapped: bytes, _: str) -> bytes:
+            return base64.b64decode(wrapped)
+
+    table = pa.table({"id": list("aabb"), "y": y})
+    for name, is_plain in [("encrypted_column.parquet", True), ("encrypted_footer.parquet", False)]:
+        how = encryption.EncryptionConfiguration(footer_key="f", column_keys={"k": ["y"]}, plaintext_footer=is_plain)
+        factory = encryption.CryptoFactory(Keys)
+        properties = factory.file_encryption_properties(encryption.KmsConnectionConfig(), how)
+        with pq.ParquetWriter(name, table.schema, encryption_properties=properties) as writer:
+            writer.write_table(table)
+
+
+hostile()

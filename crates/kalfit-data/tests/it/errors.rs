@@ -404,6 +404,25 @@ fn parquet_compression_that_is_not_read() {
     ");
 }
 
+/// Files of another library that are sound, and not to be read.
+#[test]
+fn parquet_that_says_why_it_cannot_be_read() {
+    let of = |name: &str, time: Option<&str>| {
+        let path = std::path::Path::new("tests/data").join(name);
+        let columns: Vec<&str> = time.into_iter().chain(["y"]).collect();
+        let input = Input::expand(&[path.to_str().unwrap().into()]).unwrap();
+        said(&collect(&model(&columns, &[], time), &by("id"), &input, &mut std::io::empty()).unwrap_err())
+    };
+    for name in ["encrypted_column.parquet", "encrypted_footer.parquet"] {
+        let said = of(name, None);
+        assert!(said.contains("is encrypted, and encrypted Parquet files are not read"), "{said}");
+    }
+    let said = of("broken_utf8.parquet", None);
+    assert!(said.contains("is not a sound Parquet file") && !said.contains("Arrow"), "{said}");
+    let said = of("unknown_zone.parquet", Some("t"));
+    assert!(said.contains("column `t`: the time zone `Mars/Olympus` is not known"), "{said}");
+}
+
 #[test]
 fn damaged_arrow() {
     let file = arrow_file(&columns(), 1, IpcWriteOptions::default());

@@ -12,7 +12,7 @@ use self::tables::AppliedTests;
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::job::{AppliedModel, ApplyJob, JobDone, files};
-use crate::output::{OutputTarget, PendingFile};
+use crate::output::{OutputTarget, finish_together};
 use crate::refused::by_apply;
 use crate::table::OutputTable;
 use crate::truth::Truth;
@@ -53,8 +53,7 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn JobWatch) -> Result<JobDone<Applied
     // neither is in place before both are whole
     let of_tests = out.as_ref().map(|table| task.tests(table, (&said, &laws))).transpose()?;
     let states = along.as_ref().map(|table| task.states(table, job.kind, &mut work)).transpose()?;
-    let of_tests = of_tests.map_or(Ok(None), PendingFile::finish)?;
-    let states = states.map_or(Ok(None), PendingFile::finish)?;
+    let [of_tests, states] = finish_together([of_tests, states])?;
     let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
     let notes = given.notes.into_iter().chain(truth.warnings).collect();
     Ok(JobDone::new(AppliedModel { record, tests: of_tests, states }, notes, written))

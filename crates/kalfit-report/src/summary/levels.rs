@@ -48,7 +48,8 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<TextColumn> {
     let varying = |i: &usize| record.levels.iter().any(|one| !is_held_at_zero(one, *i));
     for i in (0..states).filter(varying) {
         let all: f64 = record.levels.iter().map(|one| variance(one, i)).sum();
-        for (k, (one, name)) in record.levels.iter().zip(names).enumerate() {
+        let shown = record.levels.iter().zip(names).filter(|(one, _)| !is_held_at_zero(one, i));
+        for (k, (one, name)) in shown.enumerate() {
             let (value, error): FigureCells = std_dev(one, i);
             state.push(if k == 0 { one.states[i].clone() } else { String::new() });
             level.push(name.clone());
@@ -77,7 +78,7 @@ fn is_fixed(level: &LevelRecord, i: usize) -> bool {
 }
 
 /// The model says that the state does not vary at the level.
-fn is_held_at_zero(level: &LevelRecord, i: usize) -> bool {
+pub(super) fn is_held_at_zero(level: &LevelRecord, i: usize) -> bool {
     is_fixed(level, i) && level.std_dev.estimate.get(i) == Some(&0.0)
 }
 
@@ -99,11 +100,8 @@ fn interval(level: &LevelRecord, i: usize) -> String {
     format!("{} to {}", end(low, "0"), end(high, "∞"))
 }
 
-fn std_dev(level: &LevelRecord, i: usize) -> FigureCells {
+pub(super) fn std_dev(level: &LevelRecord, i: usize) -> FigureCells {
     let Some(&estimate) = level.std_dev.estimate.get(i) else { return Default::default() };
-    if is_held_at_zero(level, i) {
-        return ("0".to_owned(), "does not vary".to_owned());
-    }
     if is_open(level, i) {
         return ("-".to_owned(), "not identified".to_owned());
     }

@@ -4,11 +4,10 @@ use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
 use super::combination::covariance_of;
-use super::few_tests;
-use super::places;
+use super::{few_tests, levels, places};
 use crate::number::FigurePrecision;
 use crate::page::PageLayout;
-use crate::table::{ColumnSide, TextColumn};
+use crate::table::{ColumnSide, TextColumn, wide_table};
 use crate::words::clean;
 
 /// A figure and what is known of its error, in two cells.
@@ -31,6 +30,9 @@ pub(crate) fn section(
     if phase.states.is_empty() {
         return page.paragraph(&title("Initial state: nothing of it is estimated."));
     }
+    if !record.levels.is_empty() {
+        return by_level(record, phase, title, page);
+    }
     let p = phase.states.len();
     let (mean, mean_error): (Vec<_>, Vec<_>) = (0..p).map(|i| mean(phase, i)).unzip();
     let (std_dev, std_dev_error): (Vec<_>, Vec<_>) = (0..p).map(|i| std_dev(phase, i)).unzip();
@@ -50,14 +52,38 @@ pub(crate) fn section(
         let intervals = (0..p).map(|i| interval(phase, i)).collect();
         columns.insert(5, TextColumn::new("95 % interval", ColumnSide::Left, intervals));
     }
-    let what = match places::innermost(record) {
-        Some(unit) => format!("Initial state: mean, and spread within one {unit}"),
-        None => "Initial state over the tests".to_owned(),
+    let heading = title(&format!("Initial state over the tests (± {})", std_error(&record.std_errors)));
+    let body = page.table(&columns) + &page.items(&few_tests::items(record, phase));
+    page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
+}
+
+/// Tests in groups: the mean of each state, and its standard deviation at each level, side by side.
+fn by_level(record: &FitRecord, phase: &PhaseRecord, title: &dyn Fn(&str) -> String, page: &PageLayout<'_>) -> String {
+    let p = phase.states.len();
+    let column = |heading: &str, cell: &dyn Fn(usize) -> String| {
+        TextColumn::new(heading, ColumnSide::Right, (0..p).map(cell).collect())
     };
-    let heading = title(&format!("{what} (± {})", std_error(&record.std_errors)));
-    let mut below: Vec<String> = places::elsewhere(record).into_iter().collect();
-    below.extend(few_tests::items(record, phase));
-    let body = page.table(&columns) + &page.items(&below);
+    let both = |(figure, beside): FigureCells| format!("{figure} {beside}").trim().to_owned();
+    let mut columns = vec![
+        column("unit", &|i| phase.units.get(i).cloned().flatten().unwrap_or_default()),
+        column("mean", &|i| both(mean(phase, i))),
+    ];
+    if record.df_method.is_some() {
+        columns.push(column("df", &|i| few_tests::freedom(phase.mean.few_tests.df.get(i).copied().flatten())));
+        columns.push(column("95 % interval", &|i| interval(phase, i)));
+    }
+    let places = places::places(record);
+    columns.extend(record.levels.iter().zip(&places).map(|(level, place)| {
+        column(place, &|i| {
+            if levels::is_held_at_zero(level, i) { String::new() } else { both(levels::std_dev(level, i)) }
+        })
+    }));
+    let heading = title(&format!(
+        "Initial state: mean, and standard deviation at each level (± {})",
+        std_error(&record.std_errors)
+    ));
+    let table = wide_table(&TextColumn::new("state", ColumnSide::Left, phase.states.clone()), &columns, page.width());
+    let body = table + &page.items(&few_tests::items(record, phase));
     page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
 }
 

@@ -4,6 +4,7 @@ use arrow_ipc::root_as_message;
 use arrow_schema::ArrowError;
 
 use crate::error::DataError;
+use crate::kind::ARROW_IPC;
 
 /// Bytes that a compressed batch may declare beyond [`RATIO`] times its own.
 const BYTES_FREE: u64 = 256 << 20;
@@ -48,7 +49,7 @@ fn slice(body: &[u8], offset: i64, length: i64) -> Option<&[u8]> {
 }
 
 pub(super) fn refused(file: &str, source: ArrowError) -> DataError {
-    DataError::Arrow { file: file.to_owned(), source: Box::new(source) }
+    DataError::Arrow { file: file.to_owned(), format: ARROW_IPC, source: Box::new(source) }
 }
 
 pub(super) fn unsound(file: &str, what: &str) -> DataError {

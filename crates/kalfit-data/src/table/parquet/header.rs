@@ -33,6 +33,8 @@ mod field {
     pub(super) const VALUES: i16 = 1;
     pub(super) const ENCODING: i16 = 2;
     pub(super) const ENCODING_V2: i16 = 4;
+    /// Of the description of a file: the algorithm of encryption.
+    pub(super) const ENCRYPTION: i16 = 8;
 }
 
 /// Codes of types.
@@ -49,6 +51,19 @@ mod code {
     pub(super) const SET: u8 = 10;
     pub(super) const MAP: u8 = 11;
     pub(super) const STRUCT: u8 = 12;
+}
+
+/// Whether the description of a file names an algorithm of encryption: some columns are then encrypted.
+///
+/// # Errors
+/// Bytes that are no such description.
+pub(super) fn has_encryption(bytes: impl Read) -> io::Result<bool> {
+    let mut found = false;
+    CompactReader { bytes, read: 0 }.fields(|_, field, code| {
+        found |= (field, code) == (field::ENCRYPTION, code::STRUCT);
+        Ok(false)
+    })?;
+    Ok(found)
 }
 
 impl PageHeader {

@@ -63,7 +63,8 @@ pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clon
     let bytes = open().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
     guarded(file, PARQUET, || {
         let length = bytes.len();
-        let metadata = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
+        let loaded = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new());
+        let metadata = loaded.map_err(|error| unless_encrypted(file, &bytes, failed(error)))?;
         refuse_oversized(file, metadata.metadata(), length)?;
         let names: Vec<&str> = metadata.schema().fields().iter().map(|field| field.name().as_str()).collect();
         let mut roots = wanted.positions(file, &names)?;
@@ -124,7 +125,8 @@ impl<R: ChunkReader + 'static, B: Fn() -> io::Result<R>> ParquetTable<'_, B> {
     fn survey(&self) -> Result<RowGroupSurvey, DataError> {
         let file = self.form.file;
         let bytes = (self.open)().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
-        survey::survey(file, &bytes, &self.metadata, &self.mask, (self.group..self.group + 1, ROWS))
+        let found = survey::survey(file, &bytes, &self.metadata, &self.mask, (self.group..self.group + 1, ROWS));
+        found.map_err(|error| unless_encrypted(file, &bytes, error))
     }
 }
 
@@ -181,11 +183,37 @@ impl RowGroupRows<'_> {
     }
 }
 
+/// What failed, or that the file is encrypted where its end says so.
+pub(crate) fn unless_encrypted(file: &str, bytes: &impl ChunkReader, error: DataError) -> DataError {
+    match is_encrypted(bytes) {
+        Some(true) => DataError::Encrypted { file: file.to_owned() },
+        _ => error,
+    }
+}
+
+/// Whether the end of a file says that it, or some of its columns, are encrypted; `None` where it says nothing.
+fn is_encrypted(bytes: &impl ChunkReader) -> Option<bool> {
+    /// Length of the footer, then the mark of a file whose footer is encrypted or not.
+    const TAIL: usize = 8;
+    let length = bytes.len();
+    let tail = bytes.get_bytes(length.checked_sub(TAIL as u64)?, TAIL).ok()?;
+    if tail.ends_with(b"PARE") {
+        return Some(true);
+    }
+    let footer = u64::from(u32::from_le_bytes(tail[..4].try_into().ok()?));
+    let start = length.checked_sub(footer + TAIL as u64)?;
+    header::has_encryption(bytes.get_bytes(start, usize::try_from(footer).ok()?).ok()?.as_ref()).ok()
+}
+
 fn next_batch(
     reader: &mut ParquetRecordBatchReader,
     file: &str,
 ) -> Result<Option<arrow_array::RecordBatch>, DataError> {
-    reader.next().transpose().map_err(|source| DataError::Arrow { file: file.to_owned(), source: Box::new(source) })
+    reader.next().transpose().map_err(|source| DataError::Arrow {
+        file: file.to_owned(),
+        format: PARQUET,
+        source: Box::new(source),
+    })
 }
 
 pub(crate) fn refuse_oversized(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Result<(), DataError> {
