@@ -109,6 +109,7 @@ impl FitRecord {
             notes.push(format!("EM took {runs} runs of the filters here; the hybrid method needs far fewer"));
         }
         notes.append(&mut record.notes);
+        notes.extend(restricted_note(parts));
         record.notes = notes;
         record
     }
@@ -212,6 +213,21 @@ fn reason(fit: &DynamicFit) -> String {
             "no step of {what} increases the log-likelihood, but the optimality conditions do not hold (score of {far:.1e} standard errors)"
         ),
     }
+}
+
+/// Note on parameters that act as means do, of which the restricted likelihood knows nothing.
+fn restricted_note(parts: &DynamicParts<'_>) -> Option<String> {
+    if parts.fit.estimate.criterion != Criterion::Reml {
+        return None;
+    }
+    let parameters = &parts.model.shared().parameters;
+    let linear = parts.model.with_coefficients_as_states()?.parameters;
+    let names: Vec<String> = linear.iter().map(|&k| format!("`{}`", parameters[k].name)).collect();
+    let first = &parameters[linear[0]].name;
+    Some(format!(
+        "the restricted likelihood does not allow for the estimation of {}, which acts on the mean of the data as a parameter: as a state, `{first} = {{ random = false }}` in `[states]`, it does, and has degrees of freedom",
+        names.join(", ")
+    ))
 }
 
 /// Notes on values at a limit, one sentence for each parameter and limit.

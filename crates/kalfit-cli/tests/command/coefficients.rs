@@ -117,3 +117,16 @@ fn noise_that_may_be_a_part_of_the_states_is_not_identified() {
     assert_eq!(parameter(&found, "s")["standing"], "unidentified", "{}", found["parameters"]);
     assert_eq!(found["phases"][0]["covariance"]["std_error"][0][0], Value::Null);
 }
+
+/// Under the restricted likelihood a parameter is no mean; a note says so, and that the state is one.
+#[test]
+fn the_restricted_likelihood_says_what_it_does_not_allow_for() {
+    let data = data(0.3);
+    let notes = |fit: &Value| fit["notes"].to_string();
+    let found = fit(&model(false, &[], &["q = {}", "k = {}"]), &data, "--criterion reml");
+    assert!(notes(&found).contains("does not allow for the estimation of `q`, `k`"), "{}", found["notes"]);
+    for (states, parameters, criterion) in [(&["q", "k"][..], &[][..], "reml"), (&[], &["q = {}", "k = {}"], "ml")] {
+        let other = fit(&model(false, states, parameters), &data, &format!("--criterion {criterion}"));
+        assert!(!notes(&other).contains("does not allow for the estimation"), "{}", other["notes"]);
+    }
+}

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use crate::folder::{Folder, shown};
 
-const COMMANDS: [&str; 19] = [
+const COMMANDS: [&str; 20] = [
     "init",
     "fit",
     "reduce",
@@ -78,7 +78,7 @@ fn every_command_has_a_page_with_its_options_and_examples() {
         assert!(page(&format!("kalfit-{command}")).contains("Examples"), "{command}");
     }
     assert!(page("kalfit-fit").contains("\\-\\-max\\-iterations"));
-    assert_eq!(folder.path("new/man1").read_dir().expect("it is a folder").count(), 21);
+    assert_eq!(folder.path("new/man1").read_dir().expect("it is a folder").count(), 22);
     assert!(shown(&folder.run("man new/man1")).starts_with("exit 0"), "pages are replaced");
     assert!(shown(&folder.run("man d.csv")).starts_with("exit 2"), "a file is no folder");
 }

@@ -163,7 +163,7 @@ fn choices_that_are_not_known_are_refused() {
     ----- stdout
     ----- stderr
     error: invalid value 'jackknife' for '--intervals <INTERVALS>'
-      [possible values: auto, wald, profile]
+      [possible values: auto, wald, profile, bootstrap]
 
     For more information, try '--help'.
     ");
