@@ -271,7 +271,7 @@ pub(crate) struct TestArgs {
     pub(crate) bootstrap: Option<u32>,
 
     /// Seed of the bootstrap [default: 1]
-    #[arg(long, value_name = "S", requires = "bootstrap")]
+    #[arg(long, value_name = "S")]
     pub(crate) seed: Option<u64>,
 
     /// File for the results, as JSON; `-` writes them to standard output in place of the summary

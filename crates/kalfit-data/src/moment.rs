@@ -137,7 +137,7 @@ mod tests {
         for zone in ["UTC", "+01:00", "-0530", "+01"] {
             assert!(is_known_zone(zone), "{zone}");
         }
-        assert!(!is_offset("Mars/Olympus") && !is_offset("+1:0") && !is_offset("+ab:cd"));
+        assert!(!is_offset("Mars/Olympus") && !is_offset("+1:00") && !is_offset("+ab:cd"));
     }
 
     #[test]

@@ -289,6 +289,12 @@ impl<'a> Search<'a> {
         }
     }
 
+    /// The iterate with derivatives by the covariance of the mean at its own point.
+    fn recomputed(&mut self, mut iterate: NewtonIterate) -> Result<NewtonIterate, FitError> {
+        let same = iterate.point.clone();
+        Ok(self.try_successor(&mut iterate, same, |_, _| true)?.unwrap_or(iterate))
+    }
+
     /// Sets nearly zero columns of the factor to zero, computes the final certificate, and converts the result to the
     /// user's units.
     fn finish(
@@ -301,8 +307,12 @@ impl<'a> Search<'a> {
         iterate = self.with_zero_columns(&mut iterate, SNAP_SIZE, max_decrement)?.unwrap_or(iterate);
         if self.problem.criterion() == Criterion::Reml {
             // the second derivatives are exact only with the covariance of the mean at this very point
-            let same = iterate.point.clone();
-            iterate = self.try_successor(&mut iterate, same, |_, _| true)?.unwrap_or(iterate);
+            iterate = self.recomputed(iterate)?;
+            if stop == Stop::Stalled {
+                // steps by the derivatives of the point before may fail where those of this one succeed
+                let (next, how) = self.newton(iterate)?;
+                (iterate, stop) = (self.recomputed(next)?, how);
+            }
         }
         let passes = self.problem.passes();
         self.problem.set_near_end(false);

@@ -32,12 +32,16 @@ pub struct GroupPosterior {
     pub within: f64,
     /// Number of tests in the group.
     pub tests: usize,
-    /// d`mean` / d(μ, regression coefficients) (p × (p + coefficients)); `None` without regressions.
+    /// d`mean` / d(μ, regression coefficients) (p × (p + coefficients)); `None` without regressions
+    /// where groups differ in every direction.
     pub follows: Option<DMatrix<f64>>,
     /// d`mean` / d(estimates), in the order of the covariance of all estimates (p × estimates), with zeros for estimates
     /// that are no elements of Σ; `None` where it was not computed.
     pub by_estimates: Option<DMatrix<f64>>,
 }
+
+/// Eigenvalue of a correlation matrix below which a direction does not vary.
+const LEAST_EIGENVALUE: f64 = 1e-9;
 
 /// Tests in groups; `evidence`: reductions in the per-test effect and the effects of the test's groups.
 struct GroupedTests<'a> {
@@ -50,7 +54,17 @@ impl GroupedTests<'_> {
     fn at(&self, point: &Point) -> LevelPosteriors {
         let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
         let regressors = &self.problem.mean.regressors;
-        level_posteriors(self.units, (point, regressors), Some(&constants), !regressors.is_empty())
+        let follow = !regressors.is_empty() || self.leaves_directions(point);
+        level_posteriors(self.units, (point, regressors), Some(&constants), follow)
+    }
+
+    /// Whether groups do not differ in some direction. How the mean of a group follows μ is then not to be seen from
+    /// the posterior covariance alone: a state that is the same in all groups may stand for a part of what they measure.
+    fn leaves_directions(&self, point: &Point) -> bool {
+        let p = self.units.states;
+        let blocks = (p..point.root.nrows()).step_by(p).map(|start| point.root.rows(start, p));
+        let sum = blocks.fold(DMatrix::zeros(p, p), |sum, root| sum + root * root.transpose());
+        sum.diagonal().iter().any(|x| *x == 0.0) || symmetric::scaled_range(&sum).0 < LEAST_EIGENVALUE
     }
 
     /// A covariance in the user's units (p × p), from one in η by rows.

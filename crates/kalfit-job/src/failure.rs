@@ -495,7 +495,10 @@ impl Failure {
             Failure::Instructions { .. } => {
                 "all machines that are to give the same bits need the same instructions; `portable` is everywhere"
             }
-            Failure::Threads { .. } | Failure::ThreadsVariable { .. } => "ask for fewer with `--threads`",
+            Failure::Threads { .. } => "ask for fewer with `--threads`",
+            Failure::ThreadsVariable { .. } => {
+                "set it to a number, or take it away: `--threads` says how many are used"
+            }
             _ => return None,
         })
     }

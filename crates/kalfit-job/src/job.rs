@@ -119,11 +119,13 @@ pub struct ExchangeJob {
 }
 
 /// Whether a test draws ensembles from its hypothesis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BootstrapChoice {
     /// With few units and known parameters, where a draw costs no run of the filters.
-    #[default]
-    Auto,
+    Auto {
+        /// Seed of the draws.
+        seed: u64,
+    },
     /// Never.
     None,
     /// As many as are asked for.
@@ -134,7 +136,7 @@ impl BootstrapChoice {
     /// `replicates`: number that is asked for; zero for none, `None` for as many as are due.
     pub fn of(replicates: Option<usize>, seed: u64) -> BootstrapChoice {
         match replicates {
-            None => BootstrapChoice::Auto,
+            None => BootstrapChoice::Auto { seed },
             Some(0) => BootstrapChoice::None,
             Some(replicates) => BootstrapChoice::Drawn(Bootstrap { replicates, seed }),
         }
@@ -145,7 +147,7 @@ impl BootstrapChoice {
         /// The p-value is then a multiple of a thousandth.
         const REPLICATES: usize = 999;
         match self {
-            BootstrapChoice::Auto => is_due.then_some(Bootstrap { replicates: REPLICATES, seed: 1 }),
+            BootstrapChoice::Auto { seed } => is_due.then_some(Bootstrap { replicates: REPLICATES, seed }),
             BootstrapChoice::None => None,
             BootstrapChoice::Drawn(asked) => Some(asked),
         }

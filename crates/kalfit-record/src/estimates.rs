@@ -35,6 +35,10 @@ pub struct EstimatesRecord {
 pub struct FewTestsLawRecord {
     /// Name of each variance, covariance and free parameter.
     pub names: Vec<String>,
+    /// Value of each.
+    pub values: Vec<f64>,
+    /// Power of each that is a variance: 1 for variances and covariances, 2 for standard deviations; 0 for what is none.
+    pub powers: Vec<f64>,
     /// Covariance of the estimates of these, for singular Σ too.
     pub covariance: SquareRecord,
     /// Name of each mean and regression coefficient.
@@ -116,6 +120,8 @@ impl FewTestsLawRecord {
         let mean = |&k: &usize| name(&k.checked_sub(law.means).map_or(Estimated::Mean(k), Estimated::Coefficient));
         FewTestsLawRecord {
             names: law.quantities.iter().map(name).collect(),
+            values: law.values.clone(),
+            powers: law.powers.clone(),
             covariance: (&law.covariance).into(),
             means: kept.iter().map(mean).collect(),
             mean_covariance: of_means(&law.mean_covariance),
@@ -140,11 +146,14 @@ impl FewTestsLawRecord {
             (record.size() == places.len()).then_some(matrix)
         };
         let count = self.names.len();
-        let is_whole = self.covariance.size() == count && self.mean_slopes.len() == count;
+        let lengths = [self.values.len(), self.powers.len(), self.mean_slopes.len(), self.covariance.size()];
+        let is_whole = lengths.iter().all(|length| *length == count);
         let covariance = is_whole.then(|| DMatrix::from_fn(count, count, |a, b| self.covariance[a][b]))?;
         Some(MeanAndVarianceLaw {
             means: p,
             quantities: self.names.iter().map(|name| of.get(name).cloned()).collect::<Option<_>>()?,
+            values: self.values.clone(),
+            powers: self.powers.clone(),
             covariance,
             mean_covariance: of_means(&self.mean_covariance)?,
             mean_covariance_plain: of_means(&self.mean_covariance_plain)?,

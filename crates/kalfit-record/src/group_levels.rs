@@ -56,7 +56,8 @@ figures! {
         /// Posterior covariance of that mean.
         pub covariance: SquareRecord,
         /// Derivatives of `mean` with respect to μ and the regression coefficients, in their order, state by state;
-        /// absent without regressions.
+        /// absent without regressions
+        /// where groups differ in every direction.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub follows: Option<Vec<Vec<f64>>>,
         /// Derivatives of `mean` with respect to the quantities of `estimates`, in their order, state by state; zero

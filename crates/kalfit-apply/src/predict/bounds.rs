@@ -205,6 +205,7 @@ impl Bounds {
         if degrees < 0.5 {
             return None;
         }
+        let degrees = if degrees < KNOWN_DEGREES { degrees } else { f64::INFINITY };
         let half = quantile(degrees, 0.5 * (1.0 + self.limits.content))? * (own.variance + own.of_mean).sqrt();
         Some(([value.mean - half, value.mean + half], degrees))
     }

@@ -76,7 +76,9 @@ impl FewTestsInput<'_> {
     }
 
     /// Derivatives of the variance by `initial.left` with respect to θ, for a known unit of n equal tests: the mean of
-    /// the unit follows μ by the matrix D, and each of its tests by (I - D)/n.
+    /// the unit follows μ by the matrix D, and each of its tests by (I - D)/n. What noise adds is the rest: doubled
+    /// variances of everything double this variance, too, so Σ_a θ_a ∂/∂θ_a gives it back. The rest is shared among the
+    /// variances of noise.
     fn by_left(&self) -> DVector<f64> {
         let (p, count) = (self.own.len(), self.law.quantities.len());
         let Some(group_tests) = self.initial.left.as_ref().map(|_| self.initial.group_tests.max(1) as f64) else {
@@ -92,6 +94,16 @@ impl FewTestsInput<'_> {
                 false => both * by_unit[a] * by_unit[b],
             }
         };
-        DVector::from_iterator(count, self.law.quantities.iter().map(of))
+        let mut by_left = DVector::from_iterator(count, self.law.quantities.iter().map(of));
+        let of_spread: f64 = by_left.iter().zip(&self.law.values).map(|(slope, value)| slope * value).sum();
+        let is_noise = |a: &usize| {
+            matches!(self.law.quantities[*a], Estimand::Parameter { .. })
+                && self.law.powers[*a] > 0.0
+                && self.law.values[*a] > 0.0
+        };
+        let noises: Vec<usize> = (0..count).filter(is_noise).collect();
+        let rest = (self.left - of_spread).max(0.0) / noises.len().max(1) as f64;
+        noises.into_iter().for_each(|a| by_left[a] += self.law.powers[a] * rest / self.law.values[a]);
+        by_left
     }
 }

@@ -448,17 +448,6 @@ fn wrong_options_are_refused() {
 
     For more information, try '--help'.
     ");
-    assert_snapshot!(test("--null h.toml --seed 3"), @"
-    exit 2
-    ----- stdout
-    ----- stderr
-    error: the following required arguments were not provided:
-      --bootstrap <N>
-
-    Usage: kalfit test --null <NULL> --bootstrap <N> --seed <S> <MODEL> <DATA>...
-
-    For more information, try '--help'.
-    ");
     assert_snapshot!(test("--null h.toml --bootstrap 1000001"), @"
     exit 2
     ----- stdout

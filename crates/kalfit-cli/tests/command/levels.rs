@@ -68,11 +68,9 @@ fn the_summary_says_how_much_is_from_unit_to_unit() {
     let folder = oxide();
     let summary = shown(&folder.run("fit oxide.toml oxide.csv"));
     assert_snapshot!(between(&summary, "Initial state", "Dynamic parameters"), @r#"
-    Initial state: mean, and spread within one Lot (± standard error)
-      state        mean        std dev
-      thickness  2000.2 ± 4.0      6.0 ± 1.2
-      These standard deviations describe tests of one Lot; see "Spread by level" for
-        those from Lot to Lot.
+    Initial state: mean, and standard deviation at each level (± standard error)
+      state              mean  Lot to Lot  within one Lot
+      thickness  2000.2 ± 4.0  10.6 ± 3.0       6.0 ± 1.2
       With 8 groups of Lot, ± 1.96 standard errors hold the mean about 88 % of the
         time; --criterion reml allows for that.
 

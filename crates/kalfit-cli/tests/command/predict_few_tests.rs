@@ -3,11 +3,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
+use std::collections::HashMap;
+
 use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 
-use crate::folder::{Folder, shown};
+use crate::folder::{Folder, number, shown};
 
 fn wave(seed: u32) -> f64 {
     (f64::from(seed) * 12.9898 + 0.3).sin()
@@ -155,4 +157,82 @@ fn degrees_of_freedom_of_a_new_test_are_those_of_the_joint_gaussian() {
     let all = (within + between + error * error).sqrt();
     let quantile = (cell(row, "prediction_upper") - cell(row, "mean")) / all;
     assert!((2.0..3.5).contains(&quantile), "t with {freedom} degrees of freedom: {quantile}");
+}
+
+/// The table of the predictions of known units, row by row, and the fit.
+fn of_known(model: &str, data: &str, design: &str) -> (Value, Vec<HashMap<String, String>>) {
+    let files = [("m.toml", model), ("d.csv", data), ("new.csv", design)];
+    let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+    for run in [
+        "fit m.toml d.csv --criterion reml --out fit.json",
+        "predict m.toml --from fit.json --design new.csv --units known --out p.csv",
+    ] {
+        let output = folder.run(run);
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    }
+    let fit = serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap();
+    (fit, folder.table("p.csv"))
+}
+
+/// Units that were measured on one of two stations each: what is not known of the station is not known of the unit.
+#[test]
+fn a_known_unit_shares_what_is_unknown_of_its_station() {
+    let mut places = Vec::new();
+    (0..8u32).for_each(|u| (0..6).for_each(|r| places.push((u, r))));
+    let row = |&(u, r): &(u32, u32)| {
+        let (station, shift) = if u < 4 { ("A", 0.0) } else { ("B", 1.5) };
+        let y = 2.0 + shift + 2.5 * wave(u + 3) + 0.3 * wave(17 * u + r + 90);
+        format!("u{u},{r},{station},{y:e}\n")
+    };
+    let data: String = std::iter::once("unit,run,station,y\n".to_owned()).chain(places.iter().map(row)).collect();
+    let model = "[data]\ntest = \"run\"\nlevels = [\"unit\"]\n[states]\nbias = {}\nb = { random = false }\n\
+                 [measurements.y]\ncolumn = \"y\"\nequation = \"bias + if(station == 'B', b, 0)\"\nnoise = 0.1\n";
+    let (fit, table) = of_known(model, &data, "unit,run,station,y\nu7,99,A,\n");
+    let sigma = |block: &Value| block["covariance"]["estimate"][0][0].as_f64().unwrap();
+    let [within, between] = [sigma(&fit["phases"][0]), sigma(&fit["levels"][0])];
+    let n = places.len();
+    let v = DMatrix::from_fn(n, n, |a, b| {
+        let [same_unit, same_run] = [places[a].0 == places[b].0, a == b].map(|same| f64::from(u8::from(same)));
+        between * same_unit + (within + 0.01) * same_run
+    });
+    let w = v.try_inverse().unwrap();
+    let x = DMatrix::from_fn(n, 2, |a, c| if c == 0 || places[a].0 >= 4 { 1.0 } else { 0.0 });
+    let c = (x.transpose() * &w * &x).try_inverse().unwrap();
+    let own = DVector::from_fn(n, |a, _| if places[a].0 == 7 { between } else { 0.0 });
+    let by_mean = DVector::from_vec(vec![1.0, 0.0]) - x.transpose() * &w * &own;
+    let plain = between - own.dot(&(&w * &own)) + by_mean.dot(&(c * &by_mean));
+    let found = number(&table[0], "std_dev_estimation").powi(2);
+    assert!(found >= plain * (1.0 - 1e-9) && found < 1.5 * plain, "{found} against {plain} at known variances");
+}
+
+/// What is known of a unit that is measured through noise alone has the degrees of freedom of the noise.
+#[test]
+fn a_known_unit_has_the_degrees_of_freedom_of_the_noise() {
+    let row = |(u, t): (u32, u32)| format!("u{u},t{t},{:e}\n", 9.0 * wave(u + 5) + 0.4 * wave(5 * u + t + 40));
+    let rows: String = (0..3).flat_map(|u| (0..2).map(move |t| (u, t))).map(row).collect();
+    let model = "[data]\ntest = \"test\"\nlevels = [\"unit\"]\n[states]\nlevel = {}\n[measurements.y]\ncolumn = \"y\"\n\
+                 equation = \"level\"\nnoise = \"s\"\n[parameters]\ns = {}\n[covariance]\nstates = []\n";
+    let (_, table) = of_known(model, &format!("unit,test,y\n{rows}"), "unit,test,y\nu0,t9,\n");
+    let df = number(&table[0], "df");
+    assert!((2.9..3.2).contains(&df), "six values less three units: {df}");
+}
+
+/// Balanced one-way layouts with a maximum inside: the restricted likelihood is certified in every one.
+#[test]
+fn restricted_fits_of_few_units_end_at_their_maximum() {
+    let model = "[data]\ntest = \"test\"\nlevels = [\"unit\"]\n[states]\nlevel = {}\n[measurements.y]\ncolumn = \"y\"\n\
+                 equation = \"level\"\nnoise = \"s\"\n[parameters]\ns = {}\n[covariance]\nstates = []\n";
+    let folder = Folder::new(&[("m.toml", model.as_bytes())]);
+    for seed in 0..25 {
+        let y = |u: u32, t: u32| 9.0 * wave(u + 50 * seed) + wave(100 * seed + 7 * u + t + 1000);
+        let rows: String = (0..6).map(|k| format!("u{},t{k},{:e}\n", k / 2, y(k / 2, k))).collect();
+        folder.write("d.csv", format!("unit,test,y\n{rows}").as_bytes());
+        let output = folder.run("fit m.toml d.csv --criterion reml --out fit.json --innovations off");
+        assert_eq!(output.status.code(), Some(0), "seed {seed}: {}", shown(&output));
+        let fit: Value = serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).unwrap()).unwrap();
+        let within: f64 = (0..3).map(|u| (y(u, 2 * u) - y(u, 2 * u + 1)).powi(2)).sum::<f64>() / 6.0;
+        if fit["levels"][0]["covariance"]["estimate"][0][0].as_f64().unwrap() > 0.0 {
+            near::relative("s", fit["parameters"][0]["estimate"].as_f64().unwrap(), within.sqrt(), 1e-5);
+        }
+    }
 }

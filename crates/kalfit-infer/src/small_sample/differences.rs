@@ -129,7 +129,9 @@ fn coordinates(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, slots: Vec<u
     let by_coordinate = found.unwrap_or_else(|| vec![[1.0, 0.0]; slots.len()]);
     let value_by_coordinate = |s: usize| if objective.coordinates[s].log { fit.values[s] } else { 1.0 };
     let value_by_theta = slots.iter().zip(&by_coordinate).map(|(&s, [by, _])| value_by_coordinate(s) / by).collect();
-    Variances { linear, by_coordinate, value_by_theta, slots }
+    let power = |s: usize| powers.as_ref().and_then(|powers| powers.get(&parameter(s)).copied()).filter(|_| linear);
+    let values = slots.iter().map(|&s| [fit.values[s], power(s).unwrap_or(0.0)]).collect();
+    Variances { linear, by_coordinate, value_by_theta, values, slots }
 }
 
 impl VarianceSlopes {

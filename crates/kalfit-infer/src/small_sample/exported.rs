@@ -18,6 +18,10 @@ pub struct MeanAndVarianceLaw<Quantity = Estimated> {
     pub means: usize,
     /// The elements of θ.
     pub quantities: Vec<Quantity>,
+    /// Value of each.
+    pub values: Vec<f64>,
+    /// Power of each that is a variance: 1 for elements of Σ, 2 for a standard deviation of noise, 0 where there is none.
+    pub powers: Vec<f64>,
     /// V_θ (14.5), θ × θ, over all directions that the structure leaves free, singular Σ or not.
     pub covariance: DMatrix<f64>,
     /// Covariance of the estimates of (μ, coefficients) by the method, C_A for Kenward and Roger, (p + r) × (p + r).
@@ -28,15 +32,33 @@ pub struct MeanAndVarianceLaw<Quantity = Estimated> {
     pub mean_slopes: Vec<DMatrix<f64>>,
 }
 
-/// The elements of θ by name, each with dvalue/dθ, the value being in the user's units.
-pub(super) fn user_theta(state: &FinalState, theta: &Theta, variances: Option<&Variances>) -> Vec<(Estimated, f64)> {
+/// An element of θ in the user's units.
+#[derive(Debug, Clone)]
+pub(super) struct UserTheta {
+    quantity: Estimated,
+    /// dvalue/dθ.
+    by: f64,
+    value: f64,
+    power: f64,
+}
+
+/// The elements of θ in the user's units.
+pub(super) fn user_theta(state: &FinalState, theta: &Theta, variances: Option<&Variances>) -> Vec<UserTheta> {
     let scale = &state.problem.classes.frame.scale;
     let elements: Vec<(usize, usize)> = state.problem.covariance.elements.all().collect();
-    let parameters = variances.into_iter().flat_map(|own| own.slots.iter().zip(&own.value_by_theta));
-    let parameters = parameters.map(|(&slot, &by)| (Estimated::Value(slot), by));
+    let parameters = variances.into_iter().flat_map(|own| own.slots.iter().zip(&own.value_by_theta).zip(&own.values));
+    let parameters = parameters.map(|((&slot, &by), &[value, power])| UserTheta {
+        quantity: Estimated::Value(slot),
+        by,
+        value,
+        power,
+    });
+    let covariance = state.newton_iterate.point.covariance();
     let of_sigma = theta.elements.iter().map(|&k| {
         let (i, j) = elements[k];
-        (Estimated::Covariance(i.max(j), i.min(j)), scale[i] * scale[j])
+        let by = scale[i] * scale[j];
+        let quantity = Estimated::Covariance(i.max(j), i.min(j));
+        UserTheta { quantity, by, value: covariance[(i, j)] * by, power: 1.0 }
     });
     parameters.chain(of_sigma).collect()
 }
@@ -48,14 +70,16 @@ impl SmallSample {
         if count * (count + width * width) > MOST_NUMBERS {
             return None;
         }
-        let by = |a: usize| self.user_theta[a].1;
+        let by = |a: usize| self.user_theta[a].by;
         let theta = &self.law.theta.covariance;
         let covariance = DMatrix::from_fn(count, count, |a, b| by(a) * theta[(a, b)] * by(b));
         let in_user_units = |matrix: &DMatrix<f64>| self.from_user.transpose() * matrix * &self.from_user;
         let slope = |(a, slope): (usize, &DMatrix<f64>)| in_user_units(slope) * -by(a).recip();
         let law = MeanAndVarianceLaw {
             means: self.means,
-            quantities: self.user_theta.iter().map(|(quantity, _)| *quantity).collect(),
+            quantities: self.user_theta.iter().map(|one| one.quantity).collect(),
+            values: self.user_theta.iter().map(|one| one.value).collect(),
+            powers: self.user_theta.iter().map(|one| one.power).collect(),
             covariance,
             mean_covariance: in_user_units(&self.law.adjusted),
             mean_covariance_plain: in_user_units(&self.law.covariance),
@@ -76,6 +100,8 @@ impl<Quantity: Clone> MeanAndVarianceLaw<Quantity> {
         MeanAndVarianceLaw {
             means: self.means,
             quantities: kept.iter().map(|&a| self.quantities[a].clone()).collect(),
+            values: kept.iter().map(|&a| self.values[a]).collect(),
+            powers: kept.iter().map(|&a| self.powers[a]).collect(),
             covariance: self.covariance.select_rows(&kept).select_columns(&kept),
             mean_covariance: self.mean_covariance.clone(),
             mean_covariance_plain: self.mean_covariance_plain.clone(),

@@ -30,7 +30,7 @@ mod variances;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimated::Estimated;
+use crate::small_sample::exported::UserTheta;
 use crate::small_sample::face::Face;
 use crate::small_sample::mean_law::MeanLaw;
 use kalfit_estimate::{Criterion, Estimate};
@@ -147,8 +147,8 @@ pub struct SmallSample {
     estimates: DVector<f64>,
     /// Number of elements of μ.
     means: usize,
-    /// The elements of θ, each with dvalue/dθ for its value in the user's units.
-    user_theta: Vec<(Estimated, f64)>,
+    /// The elements of θ in the user's units.
+    user_theta: Vec<UserTheta>,
 }
 
 impl SmallSample {

@@ -15,6 +15,8 @@ pub(crate) struct Variances {
     pub(crate) by_coordinate: Vec<[f64; 2]>,
     /// dvalue/dθ of each, with the value as users know it.
     pub(crate) value_by_theta: Vec<f64>,
+    /// The value of each, as users know it, and its power that is a variance; zero where θ is no variance.
+    pub(crate) values: Vec<[f64; 2]>,
 }
 
 /// For each parameter in `moving` the exponent k: all covariances of noise are linear in the θ^k together. `None` where

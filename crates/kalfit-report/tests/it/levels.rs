@@ -82,12 +82,10 @@ fn each_level_has_its_spread_and_its_correlations() {
     Data: 18 tests, 180 steps, 180 observations from data.csv.
     Levels: 3 groups of `lot` and 9 groups of `chip`; 18 tests within them.
 
-    Initial state: mean, and spread within one chip (± standard error)
-      state  mean         std dev
-      bias   1.00 ± 0.25     1.00 ± 0.15
-      scale  2.00 ± 0.25     1.00 ± 0.15
-      These standard deviations describe tests of one chip; see "Spread by level"
-        for those from lot to lot and from chip to chip.
+    Initial state: mean, and standard deviation at each level (± standard error)
+      state         mean            lot to lot  chip to chip  within one chip
+      bias   1.00 ± 0.25  1.00 ± 0.15 boundary   2.00 ± 0.15      1.00 ± 0.15
+      scale  2.00 ± 0.25  1.00 ± 0.15 boundary   2.00 ± 0.15      1.00 ± 0.15
       With 3 groups of lot, ± 1.96 standard errors hold the mean less than 85 % of
         the time; --criterion reml allows for that.
 
