@@ -128,9 +128,9 @@ fn by_either_criterion(folder: &Folder) {
 #[test]
 fn sums_that_cannot_come_from_tests_are_refused_with_the_place() {
     let folder = folder();
-    ["north", "east", "south"].map(|place| {
-        ends_well(&folder, &format!("sums sleepstudy.toml {place}.csv --set sigma=25 --out {place}.sums"))
-    });
+    for place in PLACES {
+        ends_well(&folder, &format!("sums sleepstudy.toml {place}.csv --set sigma=25 --out {place}.sums"));
+    }
     let honest = json(&folder, "east.sums");
     let join = "join sleepstudy.toml north.sums east.sums south.sums --set sigma=25 --out theta.json";
     let states = 2;
