@@ -81,13 +81,13 @@ class FitTables(FitRecord):
         values = np.array(record["covariance"], dtype=np.float64).reshape(len(names), len(names))
         return Labelled([names[k] for k in kept], values[np.ix_(kept, kept)])
 
-    def conf_int(self, level: float = 0.95, method: Literal["wald", "profile"] | None = None) -> Table:
+    def conf_int(self, level: float = 0.95, method: Literal["wald", "profile", "bootstrap"] | None = None) -> Table:
         """Intervals as a table: ``name``, ``lower`` and ``upper`` of every estimate that has one; an end that was not found is NaN.
 
         At 95 % they are those of the fit, whose option ``intervals`` says how they are found. ``method="wald"`` takes them from
         standard errors, as any other level does: of means by Student's t where the fit has degrees of freedom, on the logarithmic
-        scale for what is positive, on the atanh scale for correlations. ``method="profile"`` takes those of the fit, which has
-        profile intervals at 95 % only.
+        scale for what is positive, on the atanh scale for correlations. ``method="profile"`` and
+        ``method="bootstrap"`` take those of the fit, which has them at 95 % only.
         """
         rows = self._intervals(level, method)
         ends = {"lower": [low for _, low, _ in rows], "upper": [high for _, _, high in rows]}
@@ -96,14 +96,14 @@ class FitTables(FitRecord):
     def _intervals(self, level: float, method: str | None) -> list[tuple[str, float | None, float | None]]:
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}, expected a number between 0 and 1, such as 0.95")
-        if method not in ("wald", "profile", None):
-            raise ValueError(f"method is {method!r}, expected 'wald' or 'profile'")
-        if method == "profile":
-            if self._record.get("intervals") != "profile":
-                raise ValueError("this fit has no profile intervals: fit with intervals='profile'")
+        if method not in ("wald", "profile", "bootstrap", None):
+            raise ValueError(f"method is {method!r}, expected 'wald', 'profile' or 'bootstrap'")
+        if method in ("profile", "bootstrap"):
+            if self._record.get("intervals") != method:
+                raise ValueError(f"this fit has no {method} intervals: fit with intervals={method!r}")
             if level != 0.95:
                 raise ValueError(
-                    f"level is {level}, but profile intervals are found by the fit, at 0.95 only: method='wald' has other levels"
+                    f"level is {level}, but {method} intervals are found by the fit, at 0.95 only: method='wald' has other levels"
                 )
         rows: list[tuple[str, float | None, float | None]] = []
         for own in self.estimates.values():

@@ -60,7 +60,7 @@ def test(
 
     ``null`` is a file with ``[mean]``, ``[covariance]`` or ``[parameters]``, or a dictionary of these: its keys replace the
     model's. ``bootstrap`` draws that many ensembles from the hypothesis, with ``seed``; 0 draws none. ``None`` draws 999
-    from seed 1 where at most 50 tests or units have known parameters.
+    where at most 50 tests or units have known parameters.
 
     >>> import kalfit
     >>> found = kalfit.test(
@@ -77,7 +77,7 @@ def test(
             model_text(model, set),
             as_data(data),
             hypothesis,
-            (None if bootstrap is None else (bootstrap, seed), tolerance, max_iterations),
+            (bootstrap, seed, tolerance, max_iterations),
             file_name(out),
             told,
         )

@@ -26,6 +26,8 @@ def test_a_hypothesis_is_tested_as_the_command_does_it(command, tmp_path):
     assert found.p_value == expected["p_value"] and found.converged
     assert "hypothesis" in found.summary().lower()
     assert kalfit.test(*BENCH, NULL).statistic == found.statistic
+    due = [kalfit.test(*BENCH, NULL, seed=seed).to_dict().get("bootstrap") for seed in (1, 5)]
+    assert [own and own["seed"] for own in due] == [1, 5], "the seed is that of draws that are due"
 
 
 def test_a_check_says_what_the_command_says():

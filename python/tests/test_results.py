@@ -96,6 +96,8 @@ def test_profile_intervals_are_those_of_the_fit():
         profiled.conf_int(0.9, "profile")
     with pytest.raises(ValueError, match="this fit has no profile intervals"):
         plain.conf_int(method="profile")
+    with pytest.raises(ValueError, match="this fit has no bootstrap intervals"):
+        profiled.conf_int(method="bootstrap")
     with pytest.raises(ValueError, match="level is 95"):
         plain.conf_int(95)
     with pytest.raises(ValueError, match="method is 'exact'"):

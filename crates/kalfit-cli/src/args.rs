@@ -121,7 +121,7 @@ pub(crate) enum Command {
 #[derive(Debug, Group)]
 #[command(after_help = examples::INIT)]
 pub(crate) struct InitArgs {
-    /// What to start from; without it the templates are listed
+    /// Template to start from; without it the templates are listed
     #[arg(value_enum)]
     pub(crate) template: Option<Template>,
 

@@ -65,6 +65,7 @@ pub use ratio::{
 pub use reason::{Explanation, Reason};
 pub use small_sample::{
     DfChoice, DfMethod, FewTests, JointTest, MeanAndVarianceLaw, MeanTest, NoDf, NoJointTest, SmallSample,
+    student_quantile,
 };
 pub use std_errors::StdErrors;
 

@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings};
-use kalfit::infer::IntervalKind;
+use kalfit::dynamic::{self, DynamicError, DynamicFit, Method, Settings, accepts_intervals};
 use kalfit::infer::misfit::FittedEnsemble;
 use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
@@ -42,10 +41,7 @@ pub(crate) fn fit(
         record.notes.extend(notes);
         return Ok((record, HeldTests::Tests(tests, alpha)));
     }
-    if job.choices.intervals == IntervalKind::Bootstrap {
-        let parameter = shared.parameters[slots.slots()[0].parameter].name.clone();
-        return Err(failure(DynamicError::Bootstrap { parameter }, &reading));
-    }
+    accepts_intervals(job.choices, model, &slots).map_err(|error| failure(error, &reading))?;
     let groups = groups::of(model, &tests, &reading.labels)?;
     let data = SearchData { model, tests: &tests, reading: &reading };
     let methods = match job.method {

@@ -56,8 +56,8 @@ pub(crate) fn check(
     Ok((written(&done.record)?, summary, done.notes))
 }
 
-/// (replicates and seed of a bootstrap, tolerance, most passes).
-type TestOptions = (Option<(u32, u64)>, Option<f64>, Option<u32>);
+/// (replicates of a bootstrap, its seed, tolerance, most passes).
+type TestOptions = (Option<u32>, u64, Option<f64>, Option<u32>);
 
 /// (JSON of the test, notes).
 #[pyfunction]
@@ -70,15 +70,12 @@ pub(crate) fn test(
     out: Option<PathBuf>,
     how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
-    let (bootstrap, tolerance, passes) = options;
+    let (replicates, seed, tolerance, passes) = options;
     let job = TestJob {
         model: model.into(),
         data: data(given)?,
         null: null.into(),
-        bootstrap: BootstrapChoice::of(
-            bootstrap.map(|(replicates, _)| replicates as usize),
-            bootstrap.map_or(1, |(_, seed)| seed),
-        ),
+        bootstrap: BootstrapChoice::of(replicates.map(|replicates| replicates as usize), seed),
         out,
         settings: settings(Solver::Newton, tolerance, passes)?,
     };

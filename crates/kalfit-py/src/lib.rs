@@ -30,7 +30,7 @@ mod _kalfit {
     #[pymodule_export]
     use crate::text::{
         applied_summary, compared_summary, datasheet_summary, describe, exported_summary, plan_summary,
-        predicted_summary, ratio_summary, read_model, validated_summary, version,
+        predicted_summary, ratio_summary, read_model, student_quantile, validated_summary, version,
     };
 
     #[pymodule_init]

@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use kalfit_job::{Failure, JobWatch, ProgressShare};
+use kalfit_job::{Failure, JobWatch, ProgressShare, used_threads};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
 
@@ -74,7 +74,7 @@ pub(crate) fn run<R: Send + 'static>(
     RunOptions(threads, progress): RunOptions<'_>,
     job: impl FnOnce(&mut dyn JobWatch) -> Result<R, Failure> + Send + 'static,
 ) -> PyResult<JobEnd<R>> {
-    let pool = threads.map_or_else(shared_pool, |threads| pool(threads).map(Arc::new))?;
+    let pool = if threads.is_some() { Arc::new(pool(threads)?) } else { shared_pool()? };
     let (sender, receiver) = channel();
     let stop = Arc::new(AtomicBool::new(false));
     let mut teller = MessageSender { sender, stop: stop.clone(), wanted: progress.is_some(), last: None };
@@ -95,24 +95,22 @@ static SHARED: Mutex<Option<(u32, Arc<rayon::ThreadPool>)>> = Mutex::new(None);
 fn shared_pool() -> PyResult<Arc<rayon::ThreadPool>> {
     let own = std::process::id();
     // a child that was forked while its parent held the lock never gets it
-    let Ok(mut shared) = SHARED.try_lock() else { return pool(processors()).map(Arc::new) };
+    let Ok(mut shared) = SHARED.try_lock() else { return pool(None).map(Arc::new) };
     if let Some((id, pool)) = &*shared
         && *id == own
     {
         return Ok(pool.clone());
     }
-    let made = Arc::new(pool(processors())?);
+    let made = Arc::new(pool(None)?);
     if let Some(of_parent) = shared.replace((own, made.clone())) {
         std::mem::forget(of_parent); // its threads are not here, and nobody may wait for them
     }
     Ok(made)
 }
 
-fn processors() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
-pub(crate) fn pool(threads: usize) -> PyResult<rayon::ThreadPool> {
+/// A pool of `asked` threads, one for each processor without, and at most a few for each.
+pub(crate) fn pool(asked: Option<usize>) -> PyResult<rayon::ThreadPool> {
+    let threads = used_threads(asked);
     let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     built.map_err(|error| exception(&Failure::Threads { threads, reason: error.to_string() }))
 }

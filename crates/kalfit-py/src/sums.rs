@@ -22,7 +22,7 @@ pub(crate) struct PySite {
 impl PySite {
     #[new]
     fn open(py: Python<'_>, model: ModelOptions, given: Vec<PyDatum<'_>>, threads: usize) -> PyResult<PySite> {
-        let (model, given, pool) = (model.into(), data(given)?, pool(threads.clamp(1, 1024))?);
+        let (model, given, pool) = (model.into(), data(given)?, pool(Some(threads))?);
         py.detach(|| {
             let site = pool.install(|| sums::SumsSite::open(&model, &given, &mut Unwatched));
             Ok(PySite { site: site.map_err(|failure| exception(&failure))?, pool })

@@ -19,6 +19,12 @@ pub(crate) fn version() -> &'static str {
     env!("CARGO_PKG_VERSION")
 }
 
+/// The quantile of Student's t with `df` degrees of freedom; none where its size exceeds all use.
+#[pyfunction]
+pub(crate) fn student_quantile(p: f64, df: f64) -> Option<f64> {
+    kalfit::infer::student_quantile(df, p)
+}
+
 /// The text of a model file, which is sound.
 #[pyfunction]
 pub(crate) fn read_model(path: std::path::PathBuf) -> PyResult<String> {

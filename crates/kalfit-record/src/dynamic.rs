@@ -222,11 +222,15 @@ fn restricted_note(parts: &DynamicParts<'_>) -> Option<String> {
     }
     let parameters = &parts.model.shared().parameters;
     let linear = parts.model.with_coefficients_as_states()?.parameters;
-    let names: Vec<String> = linear.iter().map(|&k| format!("`{}`", parameters[k].name)).collect();
-    let first = &parameters[linear[0]].name;
+    let names = linear.iter().map(|&k| parameters[k].name.as_str());
+    let first = &parameters[*linear.first()?].name;
+    let [acts, has] = match linear.len() {
+        1 => ["which acts on the mean of the data as a parameter", "as a state"],
+        _ => ["which act on the mean of the data as parameters", "as states"],
+    };
     Some(format!(
-        "the restricted likelihood does not allow for the estimation of {}, which acts on the mean of the data as a parameter: as a state, `{first} = {{ random = false }}` in `[states]`, it does, and has degrees of freedom",
-        names.join(", ")
+        "the restricted likelihood does not allow for the estimation of {}, {acts}: {has}, such as `{first} = {{ random = false }}` in `[states]`, it does, with degrees of freedom",
+        list(names, "and")
     ))
 }
 

@@ -115,7 +115,8 @@ impl EstimatesRecord {
 
 impl FewTestsLawRecord {
     fn new(law: &MeanAndVarianceLaw, name: &dyn Fn(&Estimated) -> String) -> FewTestsLawRecord {
-        let kept = places(law.mean_covariance.nrows(), |k| law.mean_covariance[(k, k)] > 0.0);
+        let means = 0..law.mean_covariance.nrows();
+        let kept: Vec<usize> = means.filter(|&k| law.mean_covariance[(k, k)] > 0.0).collect();
         let of_means = |matrix: &DMatrix<f64>| (&matrix.select_rows(&kept).select_columns(&kept)).into();
         let mean = |&k: &usize| name(&k.checked_sub(law.means).map_or(Estimated::Mean(k), Estimated::Coefficient));
         FewTestsLawRecord {
@@ -139,11 +140,14 @@ impl FewTestsLawRecord {
         };
         let places: Vec<usize> = self.means.iter().map(place).collect::<Option<_>>()?;
         let of_means = |record: &SquareRecord| {
+            if record.size() != places.len() {
+                return None;
+            }
             let mut matrix = DMatrix::zeros(p + r, p + r);
             for (i, &row) in places.iter().enumerate() {
                 places.iter().enumerate().for_each(|(k, &column)| matrix[(row, column)] = record[i][k]);
             }
-            (record.size() == places.len()).then_some(matrix)
+            Some(matrix)
         };
         let count = self.names.len();
         let lengths = [self.values.len(), self.powers.len(), self.mean_slopes.len(), self.covariance.size()];
@@ -160,11 +164,6 @@ impl FewTestsLawRecord {
             mean_slopes: self.mean_slopes.iter().map(of_means).collect::<Option<_>>()?,
         })
     }
-}
-
-/// The indices below `count` that `is_kept` selects.
-fn places(count: usize, is_kept: impl Fn(usize) -> bool) -> Vec<usize> {
-    (0..count).filter(|&k| is_kept(k)).collect()
 }
 
 impl FitRecord {

@@ -197,8 +197,9 @@ pub(crate) const FILTER: &[Key] = &[
 ];
 
 /// Tables that a phase has itself or takes from the top level.
-pub(crate) const PHASE_TABLES: [&str; 7] =
-    ["states", "process_noise_covariance", "measurements", "noise_covariance", "mean", "covariance", "filter"];
+pub(crate) fn phase_tables() -> impl Iterator<Item = &'static str> {
+    ROOT.iter().map(|key| key.name).filter(|name| PHASE.iter().any(|own| own.name == *name))
+}
 
 /// Of a phase.
 pub(crate) const PHASE: &[Key] = &[

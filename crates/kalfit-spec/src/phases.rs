@@ -25,7 +25,7 @@ pub(crate) struct PhaseSource<'d> {
 
 /// The phases in order of appearance; without `[phases]` there is one, made of the top level.
 pub(crate) fn open<'d>(root: &mut TomlTable<'d>) -> Result<Vec<PhaseSource<'d>>> {
-    let top: Vec<TomlField<'d>> = keys::PHASE_TABLES.iter().filter_map(|key| root.take(key)).collect();
+    let top: Vec<TomlField<'d>> = keys::phase_tables().filter_map(|key| root.take(key)).collect();
     let Some(field) = root.take("phases") else {
         return Ok(vec![PhaseSource { name: MAIN, span: None, own: None, top }]);
     };

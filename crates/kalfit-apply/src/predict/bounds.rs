@@ -17,11 +17,12 @@
 use std::collections::HashMap;
 use std::sync::Mutex;
 
-use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
+use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
 use crate::predict::root::{EarlierRoots, decreasing_root, increasing_root};
 use crate::predict::widths::Widths;
 use crate::predict::{Estimation, FewTestsDegrees, MeanLimits, Predicted};
+use kalfit_infer::student_quantile;
 
 /// Confidence, content and sides of limits.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -192,7 +193,7 @@ impl Bounds {
         }
         let variance_estimate = VarianceEstimate::of(value).filter(|_| !value.is_drawn_to_zero)?;
         let upper = 0.5 * (1.0 + self.limits.confidence);
-        let half = quantile(variance_estimate.degrees_of_mean, upper)? * variance_estimate.of_mean.sqrt();
+        let half = student_quantile(variance_estimate.degrees_of_mean, upper)? * variance_estimate.of_mean.sqrt();
         Some([value.mean - half, value.mean + half])
     }
 
@@ -206,7 +207,7 @@ impl Bounds {
             return None;
         }
         let degrees = if degrees < KNOWN_DEGREES { degrees } else { f64::INFINITY };
-        let half = quantile(degrees, 0.5 * (1.0 + self.limits.content))? * (own.variance + own.of_mean).sqrt();
+        let half = student_quantile(degrees, 0.5 * (1.0 + self.limits.content))? * (own.variance + own.of_mean).sqrt();
         Some(([value.mean - half, value.mean + half], degrees))
     }
 
@@ -305,14 +306,6 @@ impl Bounds {
             self.limits.confidence,
             variance_estimate.approximate_half_width(self.limits.confidence, self.widths.at(mean_offset / size)),
         )
-    }
-}
-
-/// Quantile of Student's t.
-fn quantile(degrees: f64, probability: f64) -> Option<f64> {
-    match degrees < KNOWN_DEGREES {
-        true => Some(StudentsT::new(0.0, 1.0, degrees).ok()?.inverse_cdf(probability)),
-        false => Some(normal().inverse_cdf(probability)),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Errors and degrees of freedom of a prediction by the laws of few tests (theory §14).
 //!
 //! ```text
-//! c = w'Cw + u'Vu            the estimate of the mean: w by (μ, γ), u the variance of a known unit's own mean
+//! c = w'Cw + v               variance of the estimate of the mean: w by (μ, γ), v that of a known unit's own mean
 //! ν = 2c²/(g'V_θg)           g_a = ∂c/∂θ_a                                                             (14.8)
 //! h = s² + c,  ν_h = 2h²/(g_h'V_θg_h)                                                                  (14.12)
 //! ```
@@ -39,6 +39,7 @@ pub(super) struct FewTestsErrors {
 }
 
 impl FewTestsInput<'_> {
+    /// The errors; `None` where the law says no degrees of freedom.
     pub(super) fn errors(&self) -> Option<FewTestsErrors> {
         let part =
             |of: &dyn Fn(&[f64; 3]) -> f64| DVector::from_iterator(self.by_theta.len(), self.by_theta.iter().map(of));
@@ -78,12 +79,14 @@ impl FewTestsInput<'_> {
     /// Derivatives of the variance by `initial.left` with respect to θ, for a known unit of n equal tests: the mean of
     /// the unit follows μ by the matrix D, and each of its tests by (I - D)/n. What noise adds is the rest: doubled
     /// variances of everything double this variance, too, so Σ_a θ_a ∂/∂θ_a gives it back. The rest is shared among the
-    /// variances of noise.
+    /// variances of noise. The change with a parameter that is no variance, such as a time constant, is left out: the degrees
+    /// of freedom are then those at its estimate.
     fn by_left(&self) -> DVector<f64> {
         let (p, count) = (self.own.len(), self.law.quantities.len());
-        let Some(group_tests) = self.initial.left.as_ref().map(|_| self.initial.group_tests.max(1) as f64) else {
+        if self.initial.left.is_none() {
             return DVector::zeros(count);
-        };
+        }
+        let group_tests = self.initial.group_tests.max(1) as f64;
         let by_unit = self.by_mean.rows(0, p);
         let by_test = self.own - by_unit;
         let of = |quantity: &Estimand| {

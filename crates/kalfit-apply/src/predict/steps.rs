@@ -177,29 +177,40 @@ impl<'a> Slopes<'a> {
     /// Derivatives of (mean, variance by the initial state, variance by process noise) with respect to the estimand
     /// with index `at`.
     fn by(&self, at: usize, estimand: &Estimand) -> [f64; 3] {
+        if let Estimand::Population(own) = *estimand {
+            return self.by_population(own);
+        }
+        let along_group = self.along_group(estimand);
+        let Some((place, width)) = self.steps.side_indices[at] else { return [along_group, 0.0, 0.0] };
+        let [below, above] = [self.sides[place], self.sides[place + 1]];
+        let slope = |of: &dyn Fn(&PredictedValue) -> f64| (of(above) - of(below)) / width;
+        let population = |side: &PredictedValue| side.population(&self.initial.covariance);
+        [along_group + slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
+    }
+
+    /// The same with respect to a mean, a coefficient or an element of Σ.
+    fn by_population(&self, estimated: Estimated) -> [f64; 3] {
         let p = self.own.len();
-        let known = self.initial.by_estimates.as_ref().and_then(|by| by.get(estimand));
-        let along_group = known.map_or(0.0, |by| by.dot(&self.own));
-        match *estimand {
-            Estimand::Population(Estimated::Mean(i)) => [self.by_mean.get(i).copied().unwrap_or(0.0), 0.0, 0.0],
-            Estimand::Population(Estimated::Coefficient(c)) => {
+        match estimated {
+            Estimated::Mean(i) => [self.by_mean.get(i).copied().unwrap_or(0.0), 0.0, 0.0],
+            Estimated::Coefficient(c) => {
                 let known = self.initial.by_coefficients.as_ref().map_or(0.0, |by| by.column(c).dot(&self.own));
                 [self.value.sensitivity[p + c] + known, 0.0, 0.0]
             }
-            Estimand::Population(Estimated::Covariance(i, j)) if self.initial.levels.contains(&(i / p)) => {
+            Estimated::Covariance(i, j) => {
                 let both = if i == j { 1.0 } else { 2.0 };
-                [along_group, both * self.own[i % p] * self.own[j % p], 0.0]
+                let is_own = self.initial.levels.contains(&(i / p));
+                let by_variance = if is_own { both * self.own[i % p] * self.own[j % p] } else { 0.0 };
+                [self.along_group(&Estimand::Population(estimated)), by_variance, 0.0]
             }
-            Estimand::Population(Estimated::Covariance(..)) => [along_group, 0.0, 0.0],
-            Estimand::Population(Estimated::Value(_)) => [0.0; 3],
-            Estimand::Parameter { .. } => {
-                let Some((place, width)) = self.steps.side_indices[at] else { return [along_group, 0.0, 0.0] };
-                let [below, above] = [self.sides[place], self.sides[place + 1]];
-                let slope = |of: &dyn Fn(&PredictedValue) -> f64| (of(above) - of(below)) / width;
-                let population = |side: &PredictedValue| side.population(&self.initial.covariance);
-                [along_group + slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
-            }
+            Estimated::Value(_) => [0.0; 3],
         }
+    }
+
+    /// Derivative of the mean of a known group.
+    fn along_group(&self, estimand: &Estimand) -> f64 {
+        let known = self.initial.by_estimates.as_ref().and_then(|by| by.get(estimand));
+        known.map_or(0.0, |by| by.dot(&self.own))
     }
 
     /// The derivatives by (μ, γ) and by θ of `law`; `all`: those by the quantities of `knowledge`. `None` where a
@@ -213,10 +224,10 @@ impl<'a> Slopes<'a> {
         let p = self.own.len();
         let by_mean = DVector::from_fn(law.mean_covariance.nrows(), |i, _| {
             let quantity = if i < p { Estimated::Mean(i) } else { Estimated::Coefficient(i - p) };
-            self.by(usize::MAX, &Estimand::Population(quantity))[0]
+            self.by_population(quantity)[0]
         });
         let by_theta = law.quantities.iter().map(|quantity| match quantity {
-            Estimand::Population(_) => Some(self.by(usize::MAX, quantity)),
+            Estimand::Population(own) => Some(self.by_population(*own)),
             Estimand::Parameter { .. } => Some(all[knowledge.quantities.iter().position(|own| own == quantity)?]),
         });
         Some(FewTestsInput {

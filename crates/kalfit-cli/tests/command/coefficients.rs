@@ -124,7 +124,11 @@ fn the_restricted_likelihood_says_what_it_does_not_allow_for() {
     let data = data(0.3);
     let notes = |fit: &Value| fit["notes"].to_string();
     let found = fit(&model(false, &[], &["q = {}", "k = {}"]), &data, "--criterion reml");
-    assert!(notes(&found).contains("does not allow for the estimation of `q`, `k`"), "{}", found["notes"]);
+    assert!(
+        notes(&found).contains("does not allow for the estimation of `q` and `k`, which act on"),
+        "{}",
+        found["notes"]
+    );
     for (states, parameters, criterion) in [(&["q", "k"][..], &[][..], "reml"), (&[], &["q = {}", "k = {}"], "ml")] {
         let other = fit(&model(false, states, parameters), &data, &format!("--criterion {criterion}"));
         assert!(!notes(&other).contains("does not allow for the estimation"), "{}", other["notes"]);

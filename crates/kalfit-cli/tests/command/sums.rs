@@ -145,6 +145,7 @@ fn sums_that_cannot_come_from_tests_are_refused_with_the_place() {
         (information, -1.0, "the information on the states is not positive semidefinite"),
         (information + 1, 1e9, "the information on the states is not positive semidefinite"),
         (informed, 7.0, "a number of tests is not among those of the tests"),
+        (informed, 0.0, "there is information on a state that no test informs"),
     ] {
         let mut told = honest.clone();
         told["answers"][0][at] = value.into();

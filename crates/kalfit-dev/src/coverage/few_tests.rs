@@ -43,6 +43,8 @@ const LIMITS: Limits = Limits { confidence: 0.9, content: 0.95, sides: Sides::On
 struct FewTestsSetup {
     name: &'static str,
     drawn: DrawnSetup,
+    /// Equation of the output that is predicted.
+    output: &'static str,
     lengths: &'static [usize],
     least: usize,
 }
@@ -52,15 +54,15 @@ pub(super) fn run(ensembles: u64, only: &str) {
     let level = DrawnSetup { model: LEVEL, ..NOISY };
     let four = DrawnSetup { model: FOUR, mean: &[1.0, 0.5, 0.0, -0.5], std_dev: &[&[1.0; 4]], ..NOISY };
     let process = DrawnSetup { model: PROCESS, free: "sigma tau", ..NOISY };
-    let setup = |name, drawn, lengths, least| FewTestsSetup { name, drawn, lengths, least };
+    let setup = |name, drawn, output, lengths, least| FewTestsSetup { name, drawn, output, lengths, least };
     let setups = [
-        setup("1, equal", level, &EQUAL[..], 5),
-        setup("1, unequal", level, &UNEQUAL, 5),
-        setup("2, equal", LINE, &EQUAL, 5),
-        setup("2, unequal", LINE, &UNEQUAL, 5),
-        setup("4, unequal", four, &UNEQUAL, 8),
-        setup("1, units of three unequal tests", UNITS, &UNEQUAL, 5),
-        setup("1, and a process whose time constant is free", process, &LONG, 5),
+        setup("1, equal", level, "level", &EQUAL[..], 5),
+        setup("1, unequal", level, "level", &UNEQUAL, 5),
+        setup("2, equal", LINE, LINE_OUTPUT, &EQUAL, 5),
+        setup("2, unequal", LINE, LINE_OUTPUT, &UNEQUAL, 5),
+        setup("4, unequal", four, "a", &UNEQUAL, 8),
+        setup("1, units of three unequal tests", UNITS, "level", &UNEQUAL, 5),
+        setup("1, and a process whose time constant is free", process, "level", &LONG, 5),
     ];
     let is_chosen =
         |setup: &&FewTestsSetup| "Few tests".contains(only) || format!("Few tests: {}", setup.name).contains(only);
@@ -79,6 +81,9 @@ pub(super) fn run(ensembles: u64, only: &str) {
     }
     println!();
 }
+
+/// Both states of a line together.
+const LINE_OUTPUT: &str = "level + slope * x";
 
 /// Levels of spread one, read with noise of 1.5.
 const LEVEL: &str = r#"
@@ -128,7 +133,7 @@ sigma = 0.5
 tau = 2
 "#;
 
-/// What is true.
+/// The truth that ensembles are drawn from, and what is predicted there.
 struct Truth {
     model: Spec,
     alpha: Alpha,
@@ -145,7 +150,7 @@ impl FewTestsSetup {
     fn truth(&self) -> Truth {
         let model = self.drawn.spec(false);
         let alpha = Alpha::fixed(&model.model.shared().parameters).expect("all are known");
-        let output = "[outputs.o]\nequation = \"".to_owned() + self.output(&model) + "\"\n";
+        let output = format!("[outputs.o]\nequation = \"{}\"\n", self.output);
         let design = model.design(Some(&output), false).expect("a set-up is sound");
         let mission = rows(&design.spec.model, "mission", &MISSION, &[]);
         let initial = Initial::new(&model.model, &self.drawn.population());
@@ -158,15 +163,6 @@ impl FewTestsSetup {
             design,
             mission,
             predicted,
-        }
-    }
-
-    /// All states together for a line, else the first.
-    fn output(&self, model: &Spec) -> &'static str {
-        match model.model.shared().columns.iter().any(|column| column.name == "x") && self.drawn.mean.len() == 2 {
-            true => "level + slope * x",
-            false if self.drawn.mean.len() == 4 => "a",
-            false => "level",
         }
     }
 

@@ -11,6 +11,7 @@ use kalfit_estimate::{Criterion, Estimate, Progress, Silent, Stop};
 use kalfit_model::Labels;
 use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
+use kalfit_model::Slots;
 use kalfit_search::BeforeRuns;
 use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
@@ -18,6 +19,19 @@ use kalfit_search::{Coordinate, DynamicError, DynamicFit, ParameterInference, St
 
 /// Standard error of a logarithm beyond which the value counts as not determined by the data.
 const UNDETERMINED: f64 = 10.0;
+
+/// Refuses intervals with drawn quantiles where values of α are free.
+///
+/// # Errors
+/// [`DynamicError::Bootstrap`] with the first free parameter.
+pub fn accepts_intervals(choices: Choices, model: &PhasedModel, slots: &Slots) -> Result<(), DynamicError> {
+    match slots.slots().first().filter(|_| choices.intervals == IntervalKind::Bootstrap) {
+        Some(slot) => {
+            Err(DynamicError::Bootstrap { parameter: model.shared().parameters[slot.parameter].name.clone() })
+        }
+        None => Ok(()),
+    }
+}
 
 /// Uncertainty of μ and Σ with α estimated, and of each free value of α. Reports to `progress` which interval is
 /// sought. Once `progress` stops, intervals come from standard errors, standard errors come from the observed
@@ -29,10 +43,7 @@ pub fn infer(
     choices: Choices,
     progress: &mut dyn Progress,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
-    if choices.intervals == IntervalKind::Bootstrap {
-        let parameter = model.shared().parameters[fit.slots.slots()[0].parameter].name.clone();
-        return Err(DynamicError::Bootstrap { parameter });
-    }
+    accepts_intervals(choices, model, &fit.slots)?;
     let progress = &SharedProgress::new(progress, Some(model));
     let ml = fit.estimate.criterion == Criterion::Ml;
     let objective = match fit.reductions.remote() {

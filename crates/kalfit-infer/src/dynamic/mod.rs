@@ -17,7 +17,7 @@ mod stepwise;
 mod tests;
 
 pub use at_start::examine_with_parameters;
-pub use inference::infer;
+pub use inference::{accepts_intervals, infer};
 pub use interval::MOST_PROFILED;
 pub use mean_limits::{MeansAt, mean_limits};
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};

@@ -8,7 +8,7 @@ use crate::small_sample::theta::Theta;
 use crate::small_sample::variances::Variances;
 use kalfit_estimate::FinalState;
 
-/// Most numbers of a law that is exported.
+/// Most numbers of a law that is exported: about 0.4 MB of fit.json.
 const MOST_NUMBERS: usize = 20_000;
 
 /// The laws of (μ, coefficients) and of θ, the free elements of Σ and the free parameters that move, in the user's units.

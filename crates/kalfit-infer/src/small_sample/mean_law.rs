@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::small_sample::information::{MeanSums, ThetaLaw};
-use crate::small_sample::student::{chi_square_tail, quantile, two_sided, upper_tail};
+use crate::small_sample::student::{chi_square_tail, student_quantile, two_sided, upper_tail};
 use crate::small_sample::{DfMethod, JointTest, MeanTest, NoJointTest};
 
 /// Part of l in directions of the mean that no test informs, beyond which l has no standard error.
@@ -94,7 +94,7 @@ impl MeanLaw {
         let error = |c: &DMatrix<f64>| Some(l.dot(&(c * l)).sqrt()).filter(|e| e.is_finite() && *e > 0.0);
         let (std_error, plain) = (error(&self.adjusted)?, error(&self.plain)?);
         let freedom = self.freedom(l)?;
-        let half = quantile(freedom)? * std_error;
+        let half = student_quantile(freedom, 0.975)? * std_error;
         let statistic = value / std_error;
         Some(MeanTest {
             std_error,

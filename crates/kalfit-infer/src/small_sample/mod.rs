@@ -40,6 +40,7 @@ use differences::VarianceSlopes;
 pub(crate) use differences::slopes;
 pub use each_mean::FewTests;
 pub use exported::MeanAndVarianceLaw;
+pub use student::student_quantile;
 
 /// Number of independent tests or units beyond which the laws of many tests hold.
 const MANY_UNITS: usize = 5000;

@@ -46,7 +46,7 @@ impl Audit {
             return Some("a sum is no number");
         }
         match question {
-            Question::Opening => (!is_count(*numbers.first()?, tests, tests)).then_some(OTHER_TESTS),
+            Question::Opening => (!numbers.first().is_some_and(|&n| is_count(n, tests, tests))).then_some(OTHER_TESTS),
             Question::Survey => self.survey(numbers, tests),
             Question::Observability { .. } => {
                 let is_whole = numbers.iter().all(|&n| is_count(n, 0, tests));
@@ -64,7 +64,7 @@ impl Audit {
     fn survey(&self, numbers: &[f64], tests: usize) -> Option<&'static str> {
         let (p, r) = (self.states, self.regressions);
         if numbers.len() != COUNTS + self.blocks + pairs(p) + 2 * p + 2 * r + 1 {
-            return Some("there are not as many sums as the model has");
+            return Some(OTHER_MODEL);
         }
         let (head, rest) = numbers.split_at(COUNTS);
         let (present, rest) = rest.split_at(self.blocks);
@@ -86,26 +86,30 @@ impl Audit {
             return Some("the mean square of a covariate is less than the square of its mean");
         }
         let matrix = DMatrix::from_fn(p, p, |i, k| information[pair(i.max(k), i.min(k))]);
+        if informed.iter().zip(matrix.diagonal().iter()).any(|(n, own)| *n == 0.0 && *own != 0.0) {
+            return Some("there is information on a state that no test informs");
+        }
         (!is_information(&matrix)).then_some("the information on the states is not positive semidefinite")
     }
 
     /// Numbers of a pass: ℓ, the quadratic form, the score of the mean, its information, and Σ r r', Σ W.
     fn pass(&self, numbers: &[f64]) -> Option<&'static str> {
         let (p, m) = (self.states, self.states + self.regressions);
-        let square =
-            |from: usize, n: usize| numbers.get(from..from + n * n).map(|own| DMatrix::from_column_slice(n, n, own));
-        let information = square(2 + m, m)?;
-        let (outer, weight) = (square(2 + m + m * m, p)?, square(2 + m + m * m + p * p, p)?);
+        if numbers.len() < 2 + m + m * m + 2 * p * p {
+            return Some(OTHER_MODEL);
+        }
         if numbers[1] < 0.0 {
             return Some("a sum of squares is negative");
         }
-        let all = [information, outer, weight];
+        let square = |from: usize, n: usize| DMatrix::from_column_slice(n, n, &numbers[from..from + n * n]);
+        let all = [(2 + m, m), (2 + m + m * m, p), (2 + m + m * m + p * p, p)].map(|(from, n)| square(from, n));
         (!all.iter().all(is_information))
             .then_some("the information on the mean or on the spread is not positive semidefinite")
     }
 }
 
 const OTHER_TESTS: &str = "the number of tests in the sums is not that of the file";
+const OTHER_MODEL: &str = "there are not as many sums as the model has";
 
 /// Whether a number is a whole number from `least` to `most`.
 fn is_count(n: f64, least: usize, most: usize) -> bool {

@@ -33,7 +33,7 @@ mod field {
     pub(super) const VALUES: i16 = 1;
     pub(super) const ENCODING: i16 = 2;
     pub(super) const ENCODING_V2: i16 = 4;
-    /// Of the description of a file: the algorithm of encryption.
+    /// Algorithm of encryption, in the description of a file.
     pub(super) const ENCRYPTION: i16 = 8;
 }
 

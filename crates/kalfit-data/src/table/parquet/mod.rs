@@ -183,7 +183,7 @@ impl RowGroupRows<'_> {
     }
 }
 
-/// What failed, or that the file is encrypted where its end says so.
+/// The error that reading met; the error of an encrypted file where the end of the file says that it is one.
 pub(crate) fn unless_encrypted(file: &str, bytes: &impl ChunkReader, error: DataError) -> DataError {
     match is_encrypted(bytes) {
         Some(true) => DataError::Encrypted { file: file.to_owned() },
