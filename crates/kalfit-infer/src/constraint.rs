@@ -4,6 +4,7 @@ use nalgebra::DVector;
 
 use crate::room::room;
 use crate::score_test::{ScoreLaw, p_value};
+use crate::small_sample::JointTest;
 use kalfit_algebra::elements::Element;
 use kalfit_algebra::symmetric::pair;
 use kalfit_estimate::{CoordinateForm, Estimate, FinalState};
@@ -31,6 +32,8 @@ pub struct Sensitivity {
     pub ratio: Option<f64>,
     /// p-value of the likelihood ratio, by the law of the score statistic.
     pub ratio_p_value: Option<f64>,
+    /// F test of a fixed mean under the restricted likelihood, by the laws of few tests.
+    pub f: Option<JointTest>,
 }
 
 impl Sensitivity {
@@ -161,5 +164,6 @@ fn untested(element: Element, value: f64, score: f64) -> Sensitivity {
         expected_change: None,
         ratio: None,
         ratio_p_value: None,
+        f: None,
     }
 }

@@ -5,6 +5,7 @@
 
 use crate::constraint::Sensitivity;
 use crate::score_test::p_value;
+use crate::small_sample::{DfChoice, JointTest, SmallSample};
 use kalfit_algebra::elements::Element;
 use kalfit_estimate::{Criterion, Estimate, PhaseStructure, Silent, Stop, Structure, fit, fit_from};
 use kalfit_filter::reduce::Reductions;
@@ -93,14 +94,18 @@ fn without_constraint(
 
 /// ℓ_max, at the α of an estimate, with a constraint freed; `None` without a certified maximum.
 pub(crate) fn freed_maximum(estimate: &Estimate, reductions: &Reductions, freed: &Freed) -> Option<f64> {
+    freed_fit(estimate, reductions, freed).map(|found| found.log_likelihood)
+}
+
+/// The fit, at the α of an estimate, with a constraint freed; `None` without a certified maximum.
+fn freed_fit(estimate: &Estimate, reductions: &Reductions, freed: &Freed) -> Option<Estimate> {
     let state = &estimate.state;
     let assumed = state.structure();
     let structure = freed.within(&assumed);
     let near = fit_from(reductions, &structure, &Population::from(estimate), &state.settings, &mut Silent);
     let certified = |found: &Estimate| found.stop == Stop::Certified;
     let found = near.ok().filter(certified);
-    let found = found.or_else(|| fit(reductions, &structure, &state.settings, &mut Silent).ok().filter(certified))?;
-    Some(found.log_likelihood)
+    found.or_else(|| fit(reductions, &structure, &state.settings, &mut Silent).ok().filter(certified))
 }
 
 /// Whether likelihood ratios of constraints can be formed: one likelihood was maximised, of tests that are here.
@@ -108,13 +113,28 @@ pub(crate) fn is_possible(estimate: &Estimate, reductions: &Reductions) -> bool 
     estimate.stop == Stop::Certified && !estimate.state.is_marginal() && reductions.remote().is_none()
 }
 
-/// Adds the likelihood ratio to each constraint that its score test rejects; `maximum` is ℓ_max with a constraint
-/// freed, given the statistic that is large enough to decide.
-pub(crate) fn add_ratios(
-    estimate: &Estimate,
-    sensitivities: &mut [Sensitivity],
-    maximum: &dyn Fn(&Freed, f64, bool) -> Option<f64>,
-) {
+/// Tests of a constraint by a fit without it.
+pub(crate) struct Refits<'a> {
+    /// ℓ_max with a constraint freed, given the level at which the statistic is to decide, and whether only one side of
+    /// the held value is possible.
+    pub(crate) maximum: &'a dyn Fn(&Freed, f64, bool) -> Option<f64>,
+    /// The F test of a fixed mean, under the restricted likelihood.
+    pub(crate) f_test: &'a dyn Fn(&Freed) -> Option<JointTest>,
+}
+
+/// The F test of a fixed mean by the laws of few tests (theory §14), at known α.
+pub(crate) fn f_test(
+    (estimate, reductions): (&Estimate, &Reductions),
+    freed: &Freed,
+    choice: DfChoice,
+) -> Option<JointTest> {
+    let wide = freed_fit(estimate, reductions, freed)?;
+    SmallSample::of(&wide, reductions, choice)?.ok()?.f_test(&wide, estimate).ok()
+}
+
+/// Adds the test by a refit to each constraint that its score test rejects: F for means under the restricted likelihood,
+/// whose maxima for different means cannot be compared, and the likelihood ratio for all others.
+pub(crate) fn add_refits(estimate: &Estimate, sensitivities: &mut [Sensitivity], refits: &Refits<'_>) {
     let count = sensitivities.iter().filter(|own| own.p_value.is_some()).count();
     let level = LEVEL / count.max(1) as f64;
     let mut rejected: Vec<&mut Sensitivity> =
@@ -122,12 +142,12 @@ pub(crate) fn add_ratios(
     rejected.sort_by(|a, b| b.statistic.unwrap_or(0.0).total_cmp(&a.statistic.unwrap_or(0.0)));
     let structure = estimate.state.structure();
     for own in rejected.into_iter().take(MOST_RATIOS) {
-        // restricted likelihoods of different means cannot be compared
+        let Some(freed) = Freed::of(&structure, own.element) else { continue };
         if matches!(own.element, Element::Mean(_)) && estimate.criterion == Criterion::Reml {
+            own.f = (refits.f_test)(&freed);
             continue;
         }
-        let Some(freed) = Freed::of(&structure, own.element) else { continue };
-        let Some(maximum) = maximum(&freed, level, own.is_one_sided()) else { continue };
+        let Some(maximum) = (refits.maximum)(&freed, level, own.is_one_sided()) else { continue };
         let ratio = (2.0 * (maximum - estimate.log_likelihood)).max(0.0);
         (own.ratio, own.ratio_p_value) = (Some(ratio), Some(p_value(ratio, own.is_one_sided())));
     }

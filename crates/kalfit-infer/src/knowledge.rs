@@ -1,5 +1,7 @@
 //! Uncertainty of the estimates, by the parameters and states of a model.
 
+use std::borrow::Cow;
+
 use nalgebra::DMatrix;
 
 use crate::estimated::Estimated;
@@ -111,5 +113,27 @@ impl Knowledge {
             is_restricted: self.is_restricted,
             few_tests: self.few_tests.as_ref().map(|law| law.without(is_exact)),
         }
+    }
+
+    /// This knowledge with the errors by the laws of few tests where there are such laws: of the means by the method of
+    /// degrees of freedom, and of covariances and parameters over all directions that the model leaves free, so that a
+    /// variance that is estimated as zero is uncertain, too. Errors of means and of covariances are then uncorrelated.
+    pub fn of_few_tests(&self) -> Cow<'_, Knowledge> {
+        let Some(law) = &self.few_tests else { return Cow::Borrowed(self) };
+        let mean_row = |known: &Estimand| match *known {
+            Estimand::Population(Estimated::Mean(i)) if i < law.means => Some(i),
+            Estimand::Population(Estimated::Coefficient(c)) => Some(law.means + c),
+            _ => None,
+        };
+        let means = self.quantities.iter().filter(|known| mean_row(known).is_some());
+        let quantities: Vec<Estimand> = means.chain(&law.quantities).cloned().collect();
+        let (count, of_theta) = (quantities.len(), law.quantities.len());
+        let rows: Vec<usize> = quantities.iter().filter_map(mean_row).collect();
+        let mut covariance = DMatrix::zeros(count, count);
+        let of_means = law.mean_covariance.select_rows(&rows).select_columns(&rows);
+        covariance.view_mut((0, 0), of_means.shape()).copy_from(&of_means);
+        covariance.view_mut((count - of_theta, count - of_theta), (of_theta, of_theta)).copy_from(&law.covariance);
+        let at_zero = self.at_zero.iter().filter(|known| !law.quantities.contains(known)).cloned().collect();
+        Cow::Owned(Knowledge { quantities, covariance, at_zero, ..self.clone() })
     }
 }

@@ -189,7 +189,12 @@ fn with_ratios(
             true => None,
             false => freed::freed_maximum(estimate, reductions, freed),
         };
-        freed::add_ratios(estimate, &mut inference.sensitivities, &maximum);
+        let f_test = |freed: &freed::Freed| match progress.stops() {
+            true => None,
+            false => freed::f_test((estimate, reductions), freed, choices.df),
+        };
+        let refits = freed::Refits { maximum: &maximum, f_test: &f_test };
+        freed::add_refits(estimate, &mut inference.sensitivities, &refits);
     }
     inference
 }

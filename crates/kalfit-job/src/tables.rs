@@ -215,6 +215,9 @@ mod tests {
             expected_change: None,
             likelihood_ratio: None,
             likelihood_ratio_p_value: None,
+            f: None,
+            f_df: None,
+            f_p_value: None,
         };
         let doc = "Square root of the score statistic.";
         let root = |own: &ConstraintRecord| {

@@ -233,6 +233,9 @@ fn constraint(cut: &BlockCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord
         expected_change: sensitivity.expected_change,
         likelihood_ratio: sensitivity.ratio,
         likelihood_ratio_p_value: sensitivity.ratio_p_value,
+        f: sensitivity.f.map(|f| f.value),
+        f_df: sensitivity.f.and_then(|f| f.df_den),
+        f_p_value: sensitivity.f.map(|f| f.p_value),
     }
 }
 

@@ -34,5 +34,15 @@ figures! {
         /// p-value of the likelihood ratio.
         #[serde(default)]
         pub likelihood_ratio_p_value: Option<f64> = figure { unit: FigureUnit::Probability },
+        /// F of a fit with only this element freed, by the laws of few tests and with one degree of freedom in the
+        /// numerator, for means that the score tests reject under the restricted likelihood.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub f: Option<f64> = figure {},
+        /// Degrees of freedom of the denominator of F; absent where no covariance is estimated.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub f_df: Option<f64> = figure {},
+        /// p-value of F.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub f_p_value: Option<f64> = figure { unit: FigureUnit::Probability },
     }
 }

@@ -86,6 +86,12 @@ fn parameter_name(name: &str, level: Option<&str>) -> String {
 }
 
 impl EstimatesRecord {
+    /// Names of the estimates that are zero and that no law of few tests gives an error.
+    pub fn exact_zeros(&self) -> Vec<String> {
+        let has_law = |name: &&String| self.few_tests.as_ref().is_some_and(|law| law.names.contains(name));
+        self.at_zero.iter().filter(|name| !has_law(name)).cloned().collect()
+    }
+
     /// Free values of `found` are in the order of the slots; `labels`: texts of the levels of the free values.
     pub(super) fn new(
         model: &PhasedModel,

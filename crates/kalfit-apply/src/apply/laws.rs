@@ -1,5 +1,7 @@
 //! Laws of distances and residuals of tests that are compared with estimated parameters.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use crate::apply::doubt::{EstimateErrors, ParameterEffect, Trust};
@@ -60,10 +62,10 @@ impl Applied<'_> {
     /// The errors of [`Applied::new`]: the tests are reduced again for derivatives.
     pub fn laws(&self, said: &Said, trust: &Trust<'_>) -> Result<Laws, ApplyError> {
         let knowledge = match trust {
-            Trust::Estimates(knowledge) => *knowledge,
-            Trust::Tests(_) => &Knowledge::exact(),
+            Trust::Estimates(knowledge) => knowledge.of_few_tests(),
+            Trust::Tests(_) => Cow::Owned(Knowledge::exact()),
         };
-        let doubt = EstimateErrors::new(self.model, knowledge, &|state| self.varies(state));
+        let doubt = EstimateErrors::new(self.model, &knowledge, &|state| self.varies(state));
         let tree = self.tree(&self.reductions, &doubt);
         let moved = self.moved(&tree, &doubt)?;
         let builder = LawBuilder { said, trust, doubt, tree, moved };

@@ -12,6 +12,7 @@ mod ensembles;
 mod exchange;
 mod export;
 mod faults;
+mod few_tests;
 mod folder;
 mod generated;
 mod golden;

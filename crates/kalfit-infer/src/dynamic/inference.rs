@@ -2,9 +2,9 @@
 
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::{expected, interval, law, profile, sandwich, started};
-use crate::freed::{self, Freed};
+use crate::freed::{self, Freed, Refits};
 use crate::score_test::p_value;
-use crate::small_sample::{self, DfChoice, SmallSample};
+use crate::small_sample::{DfChoice, JointTest, NoDf, SmallSample, slopes};
 use crate::{Choices, Inference, IntervalKind, QUANTILE, SharedProgress, StdErrors};
 use crate::{Sensitivity, holds_any, inferred, sensitivities};
 use kalfit_estimate::{Criterion, Estimate, Progress, Silent, Stop};
@@ -79,12 +79,8 @@ pub fn infer(
             (inference, parameter_inferences(model, fit, &observed))
         }
     };
-    if choices.df != DfChoice::None && !ml {
-        let errors: Vec<Option<f64>> = observed.alpha.iter().map(|variance| variance.map(f64::sqrt)).collect();
-        let noise = || small_sample::slopes(&objective, fit, &errors, progress);
-        inference.add_few_tests(SmallSample::with_parameters(&estimate, &fit.reductions, choices.df, &noise));
-    }
-    inference.sensitivities = constraints(&objective, fit, (&estimate, labels), progress)?;
+    inference.sensitivities = constraints(&objective, fit, (&estimate, labels), choices, progress)?;
+    inference.add_few_tests(small_sample(&objective, fit, (&estimate, &observed), (choices, progress)));
     let rows = tests.iter().map(PhasedTest::row_count).sum();
     let kind = choices.intervals.resolved(&estimate, fit.reductions.len(), rows);
     if kind == IntervalKind::Profile && fit.stop == Stop::Certified {
@@ -100,6 +96,21 @@ pub fn infer(
         }
     }
     Ok((inference, parameters))
+}
+
+/// The laws of few tests at a fit; `estimate` and `observed` are of [`estimate_with_law`].
+fn small_sample(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    (estimate, observed): (&Estimate, &ValueCovariances),
+    (choices, progress): (Choices, &SharedProgress<'_>),
+) -> Option<Result<SmallSample, NoDf>> {
+    if choices.df == DfChoice::None || estimate.criterion == Criterion::Ml {
+        return None;
+    }
+    let errors: Vec<Option<f64>> = observed.alpha.iter().map(|variance| variance.map(f64::sqrt)).collect();
+    let noise = || slopes(objective, fit, &errors, progress);
+    SmallSample::with_parameters(estimate, &fit.reductions, choices.df, &noise)
 }
 
 /// Replaces intervals from standard errors by profile intervals.
@@ -130,6 +141,7 @@ fn constraints(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     (estimate, labels): (&Estimate, &Labels),
+    choices: Choices,
     progress: &SharedProgress<'_>,
 ) -> Result<Vec<Sensitivity>, DynamicError> {
     if !holds_any(&estimate.state) {
@@ -145,7 +157,11 @@ fn constraints(
             true => None,
             false => freed_maximum(objective, fit, labels, (freed, level, one_sided)),
         };
-        freed::add_ratios(&fit.estimate, &mut found, &maximum);
+        let f_test = |freed: &Freed| match progress.stops() {
+            true => None,
+            false => f_test(objective, fit, labels, (freed, choices), progress),
+        };
+        freed::add_refits(&fit.estimate, &mut found, &Refits { maximum: &maximum, f_test: &f_test });
     }
     Ok(found)
 }
@@ -163,6 +179,32 @@ fn freed_maximum(
     if at_alpha.is_some_and(|maximum| p_value(ratio(maximum), one_sided) < level) {
         return at_alpha;
     }
+    let found = freed_fit(objective, fit, labels, freed).map(|(_, found)| found.estimate.log_likelihood);
+    [found, at_alpha].into_iter().flatten().reduce(f64::max).filter(|_| found.is_some())
+}
+
+/// The F test of a fixed mean by the laws of few tests, from a fit with it freed.
+fn f_test(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    labels: &Labels,
+    (freed, choices): (&Freed, Choices),
+    progress: &SharedProgress<'_>,
+) -> Option<JointTest> {
+    let (model, wide) = freed_fit(objective, fit, labels, freed)?;
+    let objective = ProfileLikelihood::new(&model, objective.tests, &wide.slots, &wide.settings);
+    let (estimate, observed) = estimate_with_law(&objective, &wide);
+    let law = small_sample(&objective, &wide, (&estimate, &observed), (choices, progress))?.ok()?;
+    law.f_test(&wide.estimate, &fit.estimate).ok()
+}
+
+/// The model with a constraint freed, and its fit; `None` without a certified maximum.
+fn freed_fit(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    labels: &Labels,
+    freed: &Freed,
+) -> Option<(PhasedModel, DynamicFit)> {
     let mut model = started(objective.model, (objective.model, fit));
     match freed.part.checked_sub(model.phases.len()) {
         None => {
@@ -177,8 +219,7 @@ fn freed_maximum(
     }
     let found = kalfit_search::fit(&model, labels, objective.tests, &fit.settings, &mut Silent).ok();
     let certified = |found: &DynamicFit| found.stop == Stop::Certified && found.estimate.stop == Stop::Certified;
-    let found = found.filter(certified).map(|found| found.estimate.log_likelihood);
-    [found, at_alpha].into_iter().flatten().reduce(f64::max).filter(|_| found.is_some())
+    found.filter(certified).map(|found| (model, found))
 }
 
 /// Converts the variances of noise covariances in `covariances`, which are variances of the sought values.

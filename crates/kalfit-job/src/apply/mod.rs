@@ -86,7 +86,7 @@ fn judged(
         changed: truth.changed.clone(),
         basis,
         own,
-        at_zero: at_zero.map_or_else(Vec::new, |estimates| estimates.at_zero.clone()),
+        at_zero: at_zero.map_or_else(Vec::new, |estimates| estimates.exact_zeros()),
     };
     Ok((laws, source))
 }

@@ -30,13 +30,19 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let mut columns =
         vec![TextColumn::new("element", ColumnSide::Left, rows.iter().map(|r| name(record, r)).collect())];
     columns.extend(figures::columns(&ConstraintRecord::FIGURES, rows.iter().copied()));
-    if rows.iter().any(|row| row.likelihood_ratio_p_value.is_some()) {
-        let p_values = rows.iter().map(|r| r.likelihood_ratio_p_value.map_or_else(|| "-".to_owned(), probability));
+    if rows.iter().any(|row| p_of_refit(row).is_some()) {
+        let p_values = rows.iter().map(|r| p_of_refit(r).map_or_else(|| "-".to_owned(), probability));
         columns.push(TextColumn::new("p of refit", ColumnSide::Right, p_values.collect()));
     }
     columns.push(TextColumn::new("if freed", ColumnSide::Right, rows.iter().map(|r| freed(r)).collect()));
     let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints (score test of each one separately)", &body)
+}
+
+/// p-value of a fit without the constraint: by F for a mean under the restricted likelihood, by the likelihood ratio for
+/// all others.
+fn p_of_refit(row: &ConstraintRecord) -> Option<f64> {
+    row.f_p_value.or(row.likelihood_ratio_p_value)
 }
 
 /// The element, with its level of groups, or its phase where there are several.
@@ -63,9 +69,10 @@ fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
         let all = record.constraints.iter().filter(rejected).filter(|c| which(c));
         all.map(|c| clean(&name(record, c))).collect()
     };
-    let against = named(&|c| c.likelihood_ratio_p_value.is_some_and(is_small));
-    let unconfirmed = named(&|c| c.likelihood_ratio_p_value.is_some_and(|p| !is_small(p)));
-    let alone = named(&|c| c.likelihood_ratio_p_value.is_none());
+    let against = named(&|c| p_of_refit(c).is_some_and(is_small));
+    let unconfirmed = named(&|c| p_of_refit(c).is_some_and(|p| !is_small(p)));
+    let by_f = record.constraints.iter().filter(rejected).any(|c| c.f_p_value.is_some());
+    let alone = named(&|c| p_of_refit(c).is_none());
     let counted = if tested > 1 { format!(", after Bonferroni correction for {tested} tests") } else { String::new() };
     if !against.is_empty() {
         remarks.push(format!(
@@ -75,8 +82,9 @@ fn remarks(record: &FitRecord, shown: usize) -> Vec<String> {
     }
     if !unconfirmed.is_empty() {
         remarks.push(format!(
-            "The score test rejects the constraint on {}, but the likelihood ratio of a fit without it does not (5 % level{counted}).",
-            list(&unconfirmed, MOST_NAMED)
+            "The score test rejects the constraint on {}, but {} does not (5 % level{counted}).",
+            list(&unconfirmed, MOST_NAMED),
+            if by_f { "the F test of a fit without it" } else { "the likelihood ratio of a fit without it" }
         ));
     }
     if !alone.is_empty() {

@@ -40,6 +40,9 @@ fn each_phase_has_sections_of_its_own() {
         expected_change: Some(0.2),
         likelihood_ratio: (p < 0.02).then_some(6.8),
         likelihood_ratio_p_value: (p < 0.02).then_some(0.009),
+        f: None,
+        f_df: None,
+        f_p_value: None,
     };
     fit.constraints = vec![constraint("mean[tilt]", 0.002)];
     insta::assert_snapshot!(summary(&fit, &TextStyle::default()), @"

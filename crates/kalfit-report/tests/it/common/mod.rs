@@ -243,6 +243,9 @@ pub(crate) fn constrained() -> FitRecord {
         expected_change: Some(-0.45678),
         likelihood_ratio: (p < 0.02).then_some(6.8),
         likelihood_ratio_p_value: (p < 0.02).then_some(0.009),
+        f: None,
+        f_df: None,
+        f_p_value: None,
     };
     record.constraints = vec![
         constraint("mean[scale_factor]", 0.0077),
