@@ -1,4 +1,7 @@
-"""``python -m kalfit model --formula "y ~ x + (1 | unit)" data.csv`` prints the model file that a formula stands for."""
+"""``python -m kalfit model --formula "y ~ x + (1 | unit)" data.csv`` prints the model file that a formula stands for.
+
+``--help`` lists the options; ``--out DIR`` writes the model file, and the data where the model takes others.
+"""
 
 from __future__ import annotations
 

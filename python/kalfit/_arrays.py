@@ -14,7 +14,7 @@ from kalfit._numbers import Array
 
 __all__ = ["Builder", "PerTest", "measured_tests", "per_row", "start_offsets_per_row"]
 
-#: One array for all tests, or a list with an array for each.
+#: One array for all tests, or a list with an array for each: see :meth:`kalfit.Ensemble.from_arrays`.
 PerTest = Union[ArrayLike, Sequence[ArrayLike]]
 
 

@@ -16,7 +16,10 @@ __all__ = ["Data", "Table", "TableLike", "as_data", "table_columns"]
 
 @runtime_checkable
 class TableLike(Protocol):
-    """Any table with the Arrow PyCapsule interface: of polars, pandas 2.2 or newer, pyarrow, DuckDB, kalfit itself."""
+    """Any table with the Arrow PyCapsule interface: of polars, pandas 2.2 or newer, pyarrow, DuckDB, or kalfit itself.
+
+    Such tables are read without a copy. ``isinstance(table, kalfit.TableLike)`` tells them.
+    """
 
     def __arrow_c_stream__(self, requested_schema: Any = None, /) -> Any:
         """A capsule with an Arrow C stream."""
@@ -24,6 +27,8 @@ class TableLike(Protocol):
 
 #: A table, a path or a pattern of paths, or a dictionary of columns.
 _One = Union[TableLike, str, "os.PathLike[str]", Mapping[str, Any]]
+#: Tests: a table (see :class:`kalfit.TableLike`); the path of a CSV, TSV, Parquet or Arrow file; a pattern of paths, such as
+#: ``"runs/*.csv"``; a dictionary of columns, each a list or an array; or a list of any of these, which are one ensemble together.
 Data = Union[_One, Sequence[_One]]
 #: Whole numbers beyond this are not all numbers of the compiled part.
 _EXACT = 2**53
@@ -87,7 +92,7 @@ class Table:
     """A table that kalfit made, for any library that knows Arrow.
 
     ``polars.DataFrame(table)``, ``pyarrow.table(table)`` and DuckDB take it as it is, and so does any function of kalfit that
-    takes data.
+    takes data. ``len(table)`` is the number of rows. Unknown numbers are null or NaN.
     """
 
     __slots__ = ("_table",)
@@ -101,12 +106,12 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """Names of the columns."""
+        """Names of the columns, in their order."""
         return self._table.column_names()
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the table says of itself."""
+        """What the table says of itself: the Arrow metadata of its schema. Empty except for reductions and estimates."""
         return dict(self._table.metadata())
 
     def __len__(self) -> int:
@@ -117,19 +122,19 @@ class Table:
         return f"<kalfit.Table: {rows} of {', '.join(self.columns)}>"
 
     def to_pyarrow(self) -> Any:
-        """The table as a ``pyarrow.Table``."""
+        """The table as a ``pyarrow.Table``; this needs pyarrow."""
         import pyarrow
 
         return pyarrow.table(self)
 
     def to_polars(self) -> Any:
-        """The table as a ``polars.DataFrame``."""
+        """The table as a ``polars.DataFrame``; this needs polars."""
         import polars
 
         return polars.DataFrame(self)
 
     def to_pandas(self) -> Any:
-        """The table as a ``pandas.DataFrame``; this takes pyarrow too."""
+        """The table as a ``pandas.DataFrame``; this needs pandas and pyarrow."""
         return self.to_pyarrow().to_pandas()
 
 

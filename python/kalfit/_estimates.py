@@ -13,20 +13,25 @@ __all__ = ["Estimate", "Parameter", "Parameters", "estimate_of", "parameter_of"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A dynamic parameter, at one level or common to all tests."""
+    """A dynamic parameter, such as a noise level or a time constant: common to all tests, or at one level."""
 
+    #: Name in ``[parameters]`` of the model.
     name: str
-    #: Column of levels, if the parameter has any.
+    #: Column whose levels have a value each; ``None`` for a common parameter.
     per: str | None
-    #: The level.
+    #: Level of ``per`` that has this value; ``None`` for a common parameter.
     level: str | None
+    #: Value, in ``unit``.
     estimate: float
-    #: None where it is fixed, at a bound, or not determined by the data.
+    #: Standard error; ``None`` where the value is fixed, at a bound, or not determined by the data.
     std_error: float | None
-    #: Lower and upper end; an end is None where no limit was found.
+    #: 95 % interval, lower and upper end; an end is ``None`` where no limit was found. ``None`` for a fixed value.
     interval95: tuple[float | None, float | None] | None
+    #: Whether the value is fixed, not estimated.
     fixed: bool
+    #: Whether the estimate is at a bound, such as a noise level at zero.
     at_bound: bool
+    #: Unit label; ``None`` where the model has none.
     unit: str | None
 
 
@@ -34,28 +39,36 @@ class Parameter:
 class Estimate:
     """One number of a fit: a mean, a standard deviation, a covariance, a correlation, a regression coefficient or a parameter."""
 
-    #: ``mean[a]``, ``std_dev[a]``, ``covariance[a, b]``, ``correlation[a, b]``, ``regression[a, column]``, ``tau``, ``tau[level]``; with
-    #: several phases or levels after their name, as in ``coast: mean[a]``.
+    #: ``mean[a]``, ``std_dev[a]``, ``covariance[a, b]``, ``correlation[a, b]``, ``regression[a, column]``, ``tau`` or ``tau[level]``.
+    #: With several phases or levels the name of the phase or level comes first, as in ``coast: mean[a]``.
     name: str
+    #: ``mean``, ``mean_scale``, ``regression``, ``std_dev``, ``covariance``, ``covariance_scale``, ``correlation`` or ``parameter``.
     kind: str
+    #: Unit label of a mean, a standard deviation or a parameter; ``None`` where there is none.
     unit: str | None
+    #: The number; ``None`` where it is not defined, such as a correlation with a variance of zero.
     estimate: float | None
-    #: None where it is fixed, at a bound, or not determined by the data.
+    #: Standard error; ``None`` where the number is fixed, at a bound, or not determined by the data.
     std_error: float | None
-    #: Lower and upper end; an end is None where no limit was found.
+    #: 95 % interval, lower and upper end; an end is ``None`` where no limit was found.
     interval95: tuple[float | None, float | None]
-    #: ``estimated``, ``fixed``, ``at zero``, ``on the boundary``, ``not identified`` and more.
+    #: ``estimated``, ``fixed``, ``at zero``, ``on the boundary``, ``not identified`` or ``undefined``; of a parameter also ``at lower
+    #: bound``, ``at upper bound``, ``at the edge``, ``unbounded`` or ``without effect``.
     status: str
-    #: Degrees of freedom of a mean or regression coefficient with few tests, under ``reml``; None of others.
+    #: Degrees of freedom of a mean or regression coefficient, under ``reml``; ``None`` of others.
     df: float | None = None
-    #: t of a mean or regression coefficient with few tests.
+    #: t of a mean or regression coefficient that has ``df``: estimate over standard error.
     statistic: float | None = None
     #: Two-sided p-value of the hypothesis that this mean or coefficient is zero.
     p_value: float | None = None
 
 
 class Parameters(Sequence[Parameter]):
-    """The dynamic parameters, by place, by name, or by name and level: ``parameters["sigma", "A"]``."""
+    """The dynamic parameters of a fit: a sequence of :class:`kalfit.Parameter`, which also finds them by name.
+
+    ``parameters["tau"]`` is the parameter of that name, ``parameters["sigma", "A"]`` the one at that level, ``parameters[0]`` the
+    first. A name that does not exist, or has several levels, raises ``KeyError``.
+    """
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
         self._all = list(parameters)

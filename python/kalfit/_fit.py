@@ -32,10 +32,17 @@ __all__ = ["Fit", "Interrupted", "apply", "predict", "warn_unless_converged"]
 
 
 class Fit(FitTables):
-    """Results of a fit. Made by :func:`kalfit.fit`, or from a file of the command by :meth:`load` and :meth:`from_json`.
+    """Results of a fit. Made by :func:`kalfit.fit` and :func:`kalfit.lmm`, or from a file by :meth:`load`.
 
-    The properties :attr:`mean`, :attr:`covariance`, :attr:`std_dev`, :attr:`correlation` and :attr:`states` are those of the
-    one phase there is; a fit of several phases has them in :attr:`phases`.
+    ``print(fit)`` prints the summary, and a notebook shows tables and a forest plot of the tests. Two fits are equal if all
+    their results are.
+
+    The properties :attr:`states`, :attr:`mean`, :attr:`covariance`, :attr:`std_dev` and :attr:`correlation` are those of the
+    only phase. A fit of several phases has them in :attr:`phases`, and raises ``ValueError`` here. In shapes, p is the number of
+    estimated states.
+
+    A fit that was made here knows its model, data and options. One that was read from a file knows its results only: methods
+    that need the model take it as an argument, or raise ``TypeError``.
     """
 
     def __init__(self, results: str | _kalfit.Results, name: str = "the results") -> None:
@@ -45,12 +52,18 @@ class Fit(FitTables):
 
     @classmethod
     def from_json(cls, text: str) -> Fit:
-        """Reads the JSON of a fit, of this package or of the command."""
+        """Reads the results of a fit from ``text``, their JSON as :meth:`to_json` and ``kalfit fit --out`` write it.
+
+        Raises :class:`kalfit.DataError` if the text is something else.
+        """
         return cls(text)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Fit:
-        """Reads a file that ``kalfit fit --out`` or :meth:`save` wrote."""
+        """Reads the results of a fit from the file ``path``, which ``kalfit fit --out`` or :meth:`save` wrote.
+
+        Raises ``OSError`` if there is no such file, and :class:`kalfit.DataError` if it is something else.
+        """
         name = os.fspath(path)
         with open(path, "rb") as file:
             content = file.read()
@@ -64,15 +77,22 @@ class Fit(FitTables):
             raise _kalfit.DataError(f"`{name}` is not a result of `kalfit fit`: found {found}\n\nhint: {hint}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes all results, as ``kalfit fit --out`` does."""
+        """Writes all results to the file ``path``, as JSON, whole or not at all. Raises ``OSError`` if that is not possible."""
         self._results.save(path)
 
     def augment(self, by: Literal["test", "row"] = "test", *, measurement: str | None = None) -> Table:
-        """The tests as a table, a row for each phase of each test: log-likelihood, distance from the population, innovations,
-        influence, and the estimate of its initial state with standard deviations, as ``kalfit fit --tests`` writes them.
+        """What the fit says of each test, or of each row of the data, as a table.
 
-        ``by="row"`` has a row for each row of the data with a measured value, as broom does: ``test``, ``phase``, ``measurement``,
-        ``row`` (from 1), ``observed``, ``fitted`` and ``resid``, those of :meth:`fitted` and :meth:`resid`.
+        - ``by``: ``"test"`` has a row for each phase of each test, as ``kalfit fit --tests`` writes it: log-likelihood, distance
+          from the population, innovations, influence, and mean and standard deviation of its own initial state. ``"row"`` has a
+          row for each row of the data with a measured value, as broom's ``augment``: ``test``, ``phase``, ``measurement``,
+          ``row`` (from 1), ``observed``, ``fitted`` and ``resid``, the last two by :meth:`fitted` and :meth:`resid`.
+        - ``measurement``: with ``by="row"``, the name of the measurement, where the model has several.
+
+        >>> import kalfit
+        >>> fit = kalfit.fit("examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv")
+        >>> fit.augment().columns[:7]
+        ['test', 'group[station]', 'phase', 'log_likelihood', 'observations', 'steps', 'design_class']
         """
         if by not in ("test", "row"):
             raise ValueError(f"by is {by!r}, expected 'test' or 'row'")
@@ -86,17 +106,23 @@ class Fit(FitTables):
         return table_of_columns(texts, {"row": [k + 1 for k in at], **numbers})
 
     def fitted(self, measurement: str | None = None, *, data: Data | None = None) -> Array:
-        """What the fit says of each row of the data, given all measurements of its test and group: as lme4's ``fitted``, with the
-        random effects. NaN where a row has no measured value.
+        """The fitted value of each row of the data, given all measurements of its test and group: as lme4's ``fitted``, with the
+        random effects.
 
-        A model with several measurements is told which by ``measurement``. A fit that was read from a file does not know its model:
-        see :meth:`apply`. Rows are in the order of the data; of a fit by formula they are those of ``fit.formula.data``, whose
-        places in the data that were given are ``fit.formula.rows``.
+        - ``measurement``: the name of the measurement, where the model has several.
+        - ``data``: other data with the same columns; ``None`` takes those of the fit.
+
+        Returns an array of shape (rows,) in the unit of the measurement and in the order of the data, NaN where a row has no
+        measured value. Of a fit by formula, the rows are those of ``fit.formula.data``, whose places in the data that were given
+        are ``fit.formula.rows``. Raises ``TypeError`` for a fit that was read from a file: see :meth:`apply`.
         """
         return self._measured(measurement, data).fitted
 
     def resid(self, measurement: str | None = None, *, data: Data | None = None) -> Array:
-        """Measured values minus :meth:`fitted`, row by row."""
+        """The residual of each row of the data: its measured value minus that of :meth:`fitted`, of shape (rows,).
+
+        ``measurement`` and ``data`` are those of :meth:`fitted`.
+        """
         found = self._measured(measurement, data)
         return found.observed - found.fitted
 
@@ -123,9 +149,13 @@ class Fit(FitTables):
     ) -> Fit:
         """Fits again, with other data, options or constraints; what is not named stays as it was.
 
-        ``options`` are those of :func:`kalfit.fit`, ``set`` among them. Keys of ``mean``, ``covariance``, ``parameters`` and
-        ``levels`` replace those of the model, as in a hypothesis; ``structure`` drops the other keys of its table. A fit by
-        :func:`kalfit.lmm` takes another ``formula`` too, and ``reml``.
+        - ``data``: other data.
+        - ``formula``: another formula, for a fit by :func:`kalfit.lmm`.
+        - ``mean``, ``covariance``, ``parameters``, ``levels``: keys of these tables of the model file, which replace those of the
+          model, as in a hypothesis; ``structure`` drops the other keys of its table.
+        - ``options``: those of :func:`kalfit.fit`, ``set`` among them; and ``reml``, for a fit by :func:`kalfit.lmm`.
+
+        Raises ``TypeError`` for a fit that was read from a file, or made on a Spark cluster.
 
         >>> import kalfit
         >>> data = "examples/random-coefficients/sleepstudy.csv"
@@ -157,11 +187,15 @@ class Fit(FitTables):
         return result
 
     def to_arviz(self, draws: int = 1000, *, law: Literal["normal", "bootstrap"] = "normal", seed: int = 1) -> Any:
-        """Draws of the estimates as an ``arviz.InferenceData``, for ArviZ's tables and figures; this takes arviz.
+        """Draws of the estimates as an ``arviz.InferenceData``, for the tables and figures of ArviZ, which must be installed.
 
-        They are no draws of a posterior, as kalfit has no priors, though ArviZ's group is called ``posterior``; its attribute ``law``
-        says what they are. ``"normal"`` draws from the normal law of the estimates, of the logarithm of what is positive, and takes
-        no time. ``"bootstrap"`` draws data from the fit, fits each, and has their estimates.
+        kalfit has no priors, so these are no draws of a posterior, though ArviZ calls the group ``posterior``; its attribute ``law``
+        says what they are.
+
+        - ``draws``: number of draws.
+        - ``law``: ``"normal"`` draws from the normal distribution of the estimates, of the logarithm of what is positive, and takes
+          no time. ``"bootstrap"`` draws ensembles from the fit, fits the model to each, and takes these estimates.
+        - ``seed``: seed of the draws.
         """
         if draws < 1:
             raise ValueError(f"draws is {draws}, expected 1 or more")
@@ -187,10 +221,12 @@ class Fit(FitTables):
         return _arviz.inference_data(found, {**about, "law": "parametric bootstrap, no posterior", "not_converged": missed})
 
     def plot(self, what: Literal["forest", "ellipses", "influence"] = "forest") -> Figure:
-        """A figure of matplotlib, which must be installed: ``forest`` (estimates with 95 % intervals), ``ellipses`` (each pair of
-        states: the population, and the tests in it) or ``influence`` (how far the estimates move without each test).
+        """Draws a figure by matplotlib, which must be installed, and returns the ``matplotlib.figure.Figure``.
 
-        Returns the ``matplotlib.figure.Figure``.
+        - ``what``: ``"forest"`` is estimates with 95 % intervals; ``"ellipses"`` is each pair of states, with the population and
+          the tests in it; ``"influence"`` is how far the estimates move without each test.
+
+        A notebook shows the figure; elsewhere ``fit.plot().savefig("forest.png")`` writes it.
         """
         figure: Figure = _plot.plot(self, what)
         return figure
@@ -220,7 +256,13 @@ class Fit(FitTables):
         threads: int | None = None,
         progress: Progress = False,
     ) -> Applied:
-        """Applies the fit to tests, old or new: :func:`kalfit.apply` with the model of the fit, or with ``model``."""
+        """Applies the fit to tests, old or new: :func:`kalfit.apply`, with the model of the fit.
+
+        - ``data``: the tests.
+        - ``model``: the model, for a fit that was read from a file.
+        - ``states``, ``set``, ``out``, ``states_out``, ``threads``, ``progress``: as in :func:`kalfit.apply`; ``set`` is that of
+          the fit if it is ``None``.
+        """
         known, assigned = self._model_of(model, set)
         return apply(known, data, self, states=states, set=assigned, out=out, states_out=states_out, threads=threads, progress=progress)
 
@@ -240,7 +282,13 @@ class Fit(FitTables):
         threads: int | None = None,
         progress: Progress = False,
     ) -> Predicted:
-        """What tests that nobody has made will give: :func:`kalfit.predict` with the model of the fit, or with ``model``."""
+        """Predicts tests that have not been made: :func:`kalfit.predict`, with the model of the fit.
+
+        - ``design``: times and inputs of the tests.
+        - ``model``: the model, for a fit that was read from a file.
+        - ``outputs``, ``confidence``, ``content``, ``one_sided``, ``units``, ``profile``, ``set``, ``out``, ``threads``,
+          ``progress``: as in :func:`kalfit.predict`; ``set`` is that of the fit if it is ``None``.
+        """
         known, assigned = self._model_of(model, set)
         return predict(
             known,
@@ -259,7 +307,7 @@ class Fit(FitTables):
         )
 
     def report(self, path: str | os.PathLike[str]) -> None:
-        """Writes the HTML report: one page that needs nothing else, as ``kalfit report`` makes it."""
+        """Writes the report to the file ``path``: one HTML page that needs no other file, as ``kalfit report`` makes it."""
         self._results.report(path)
 
     def __repr__(self) -> str:
@@ -290,10 +338,11 @@ def warn_unless_converged(fit: Fit) -> None:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a fit that had something to show: :attr:`fit` is the best so far, not converged."""
+    """Ctrl-C ended a fit that had estimates by then. It is a ``KeyboardInterrupt``; no file was written."""
 
     def __init__(self, fit: Fit) -> None:
         super().__init__("the fit was interrupted; the best so far is in the attribute `fit` of this exception")
+        #: The best fit so far. It has not converged, unless only what follows the search was missing.
         self.fit = fit
 
 
@@ -309,19 +358,30 @@ def apply(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Applied:
-    """Applies a fitted model to tests, old or new: all parameters are taken from ``source``, and nothing is estimated.
+    """Applies a fitted model to tests, old or new: whether they belong to the population, and what their states are.
 
-    ``source`` is a fit, its file, or a model with values. What each test says is in ``.tests`` of the result, unless ``out``
-    names a file for it. With ``states`` the states of every test at every step are in ``.states``, unless ``states_out`` names a
-    file for them: ``"smoothed"`` from all of the test, ``"filtered"`` from what was measured up to the step, ``"predicted"``
-    from what was measured before it.
+    All parameters are taken from ``source``, and nothing is estimated.
+
+    - ``model``: the model of the tests: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``data``: the tests.
+    - ``source``: where mean, covariance and parameters come from: a fit, its file, or a model with fixed or start values.
+    - ``states``: the states at every step are wanted: from all measurements of the test (``"smoothed"``), from those up to the
+      step (``"filtered"``), or from those before it (``"predicted"``). ``None`` leaves them out.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a file for the table of the tests, in place of ``.tests`` of the result. Its ending is the format: ``.csv``,
+      ``.tsv``, ``.parquet`` or ``.arrow``.
+    - ``states_out``: a file for the table of the states, in place of ``.states`` of the result.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Applied`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
     >>> fit = kalfit.fit(model, data)
     >>> applied = kalfit.apply(model, data, fit)
-    >>> len(applied.tests), abs(applied.log_density - fit.log_likelihood) < 1e-9 * abs(fit.log_likelihood)
-    (28, True)
+    >>> len(applied.tests), round(applied.log_density, 4), round(fit.log_likelihood, 4)
+    (28, 377.115, 377.115)
     """
     if states_out is not None and states is None:
         raise ValueError("states_out names a file for states, but states is None: say which ones")
@@ -348,14 +408,27 @@ def predict(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Predicted:
-    """Says what tests that nobody has made will give: mean, spread and limits of states and outputs at every row of ``design``.
+    """Predicts tests that have not been made: mean, standard deviation and limits of states and outputs at every row.
 
-    ``design`` has the times and inputs of the tests. ``source`` is a fit, its file, or a model with values. ``outputs`` is
-    a file of ``[outputs.NAME]`` tables, or a dictionary of equations by name. Limits of the mean hold with ``confidence``; tolerance limits hold
-    ``content`` of all tests with that confidence, between them or, if ``one_sided``, beyond neither by itself. Where tests stand
-    in groups, ``units`` says whether those of the design are ``"new"`` or ``"known"`` to the fit. With ``profile``, the data that
-    the fit was made from, limits of the mean come from the profile likelihood and not from standard errors. All rows are in ``.table`` of
-    the result, unless ``out`` names a file for them.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``source``: where mean, covariance and parameters come from: a fit, its file, or a model with fixed or start values.
+    - ``design``: times and inputs of the tests: data of the model, of which the measurements may be missing.
+    - ``outputs``: what else is predicted, linear in the states: equations by name, as in ``{"error": "bias + scale * 10"}``, or a
+      file with tables ``[outputs.NAME]``.
+    - ``confidence``: confidence of the limits of the mean and of the tolerance limits, from 0.5 to 0.999999.
+    - ``content``: part of all tests that tolerance limits hold, and probability of the limits of one new test, in the same range.
+    - ``one_sided``: ``False`` has that part of all tests between the tolerance limits; ``True`` has it below the upper one, and as
+      much above the lower one.
+    - ``units``: whether the tests are of units that are ``"new"`` or ``"known"`` to the fit, in a model with levels. Known units
+      are named in the design.
+    - ``profile``: the data of the fit: limits of the mean then come from the profile likelihood in place of standard errors.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a file for the table of all rows, in place of ``.table`` of the result. Its ending is the format: ``.csv``,
+      ``.tsv``, ``.parquet`` or ``.arrow``.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Predicted`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"

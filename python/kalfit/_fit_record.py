@@ -30,7 +30,7 @@ class FitRecord:
         return self._results.json()
 
     def to_dict(self) -> dict[str, Any]:
-        """All results, as the JSON has them. Each call makes a new dictionary."""
+        """All results as a dictionary, with the keys of the JSON. Each call makes a new one."""
         result: dict[str, Any] = json.loads(self.to_json())
         return result
 
@@ -42,16 +42,16 @@ class FitRecord:
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
-        """Each phase of the model; one, named ``main``, in a model without phases."""
+        """The mean and covariance of each phase; a model without phases has one, named ``main``."""
         return tuple(Phase(phase) for phase in self._record["phases"])
 
     @cached_property
     def levels(self) -> tuple[Level, ...]:
-        """What varies at each level of groups, the outermost first, and last from test to test; none without levels."""
+        """The covariance of each level of groups, the outermost first, and last that between tests; empty without levels."""
         return tuple(Level(level) for level in self._record.get("levels", []))
 
     def level(self, name: str) -> Level:
-        """The level of this name; ``tests`` is the tests' own."""
+        """The level of this ``name``; ``tests`` is that of the tests themselves. Raises ``KeyError`` if there is none."""
         for level in self.levels:
             if level.name == name:
                 return level
@@ -60,11 +60,11 @@ class FitRecord:
 
     @cached_property
     def groups(self) -> list[GroupFit]:
-        """What is known of each group, level by level from the outermost on."""
+        """What the fit says of each group, level by level, the outermost first; empty without levels."""
         return [group_fit_of(record) for record in self._record.get("groups", [])]
 
     def phase(self, name: str) -> Phase:
-        """The phase of this name."""
+        """The phase of this ``name``. Raises ``KeyError`` if there is none."""
         for phase in self.phases:
             if phase.name == name:
                 return phase
@@ -84,32 +84,32 @@ class FitRecord:
 
     @property
     def mean(self) -> Array:
-        """Mean of the initial state over the population, shape (p,)."""
+        """Mean of the initial state over the population, shape (p,), in the units of the states."""
         return self._only.mean
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the initial state over the population, shape (p, p)."""
+        """Covariance of the initial state over the population, shape (p, p). With levels, that between tests of one group."""
         return self._only.covariance
 
     @property
     def std_dev(self) -> Array:
-        """Standard deviations, shape (p,)."""
+        """Standard deviations of the initial state, shape (p,): roots of the diagonal of :attr:`covariance`."""
         return self._only.std_dev
 
     @property
     def correlation(self) -> MaskedArray:
-        """Correlations, shape (p, p); masked beside a variance of zero."""
+        """Correlations of the initial state, shape (p, p); masked beside a variance of zero."""
         return self._only.correlation
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Dynamic parameters: ``fit.parameters["tau"].estimate``."""
+        """The dynamic parameters: ``fit.parameters["tau"].estimate``."""
         return Parameters([parameter_of(record) for record in self._record["parameters"]])
 
     @cached_property
     def tests(self) -> list[TestFit]:
-        """What each test says."""
+        """What the fit says of each test, in the order of the data; empty after ``kalfit.fit(…, tests=False)``."""
         return self._some_tests(1)
 
     def _some_tests(self, every: int) -> list[TestFit]:
@@ -132,38 +132,40 @@ class FitRecord:
 
     @property
     def constraints(self) -> list[dict[str, Any]]:
-        """Each constrained element and what the constraint costs."""
+        """A dictionary for each constrained element of mean and covariance, with the cost of the constraint: ``element``, ``value``,
+        ``sensitivity``, ``score_statistic``, ``p_value`` and more."""
         result: list[dict[str, Any]] = copy.deepcopy(self._record["constraints"])
         return result
 
     @property
     def title(self) -> str:
-        """Title of the model."""
+        """Title of the model; an empty text if it has none."""
         return str(self._record["title"])
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood, every constant included."""
+        """Log-likelihood of all measurements, with all constants; the restricted one under ``criterion="reml"``."""
         return float(self._record["log_likelihood"])
 
     @property
     def aic(self) -> float | None:
-        """Akaike's criterion; None where it has no meaning."""
+        """Akaike's criterion, 2k - 2ℓ with k free quantities. ``None`` if the log-likelihood ℓ is that of estimates, or is not what was
+        maximised."""
         return number(self._record["aic"])
 
     @property
     def bic(self) -> float | None:
-        """Schwarz's criterion; None where it has no meaning."""
+        """Schwarz's criterion, k log(observations) - 2ℓ. ``None`` where :attr:`aic` is, or without observations."""
         return number(self._record["bic"])
 
     @property
     def free_parameters(self) -> int:
-        """Declared free quantities."""
+        """Number of free quantities: elements of mean and covariance, regression coefficients and parameters."""
         return int(self._record["free_parameters"])
 
     @property
     def converged(self) -> bool:
-        """Whether the optimality conditions hold."""
+        """Whether the conditions of a maximum hold: see :attr:`certificate`."""
         return bool(self._record["converged"])
 
     @property
@@ -175,36 +177,38 @@ class FitRecord:
     def misfit(self) -> dict[str, Any] | None:
         """What tests have in common that the model does not describe: score tests of mean terms (``terms``), ``normality`` of the
         innovations, tests ``unlike`` the others of their groups, and ``wrong_rows``, measurements that contradict the others of
-        their test. None without innovations."""
+        their test. ``None`` without innovations."""
         found = self._record.get("misfit")
         none: dict[str, Any] = {"unlike": [], "wrong_rows": []}
         return None if found is None else none | copy.deepcopy(found)
 
     @property
     def model_check(self) -> dict[str, Any]:
-        """Whether the model describes the data: ``verdict`` (passed, doubtful, not checked), the ``findings`` that speak
-        against it and ``remarks`` that limit its answer, each with ``kind`` and ``text``."""
+        """Whether the model describes the data: ``verdict`` (``passed``, ``doubtful`` or ``not checked``), the ``findings`` that
+        speak against it, and ``remarks`` that limit its answer, each with ``kind`` and ``text``."""
         none: dict[str, Any] = {"verdict": "not checked", "findings": [], "remarks": []}
         return none | (self._record.get("model_check") or {})
 
     @property
     def by_group(self) -> list[dict[str, Any]]:
-        """The tests of each group of ``[data] group`` together: ``group``, ``tests``, ``log_likelihood``,
-        ``innovations_mean_square``, ``distance`` and more."""
+        """A dictionary for each group of ``[data] group``, with the figures of its tests together: ``group``, ``tests``,
+        ``log_likelihood``, ``innovations_mean_square``, ``distance`` and more."""
         return [dict(group) for group in self._record.get("by_group") or []]
 
     @property
     def group_test(self) -> dict[str, Any] | None:
-        """Whether the groups differ, where ``group_test=True`` was asked for."""
+        """The test of whether the groups of ``[data] group`` differ: ``statistic``, ``degrees_of_freedom``, ``p_value`` and more.
+        ``None`` unless the fit was made with ``group_test=True``."""
         found = self._record.get("group_test")
         return None if found is None else dict(found)
 
     @property
     def certificate(self) -> dict[str, float]:
-        """How far the optimality conditions are from being met, part by part."""
+        """How far the conditions of a maximum are from holding, in standard errors: ``mean``, ``covariance``, ``null_space``,
+        ``parameters``, and ``rounding``, a bound of the rounding errors in these."""
         return dict(self._record["certificate"])
 
     @property
     def notes(self) -> list[str]:
-        """Findings in plain words."""
+        """Findings in plain words, the most important first."""
         return list(self._record.get("notes", []))

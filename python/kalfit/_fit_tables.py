@@ -24,28 +24,33 @@ class FitTables(FitRecord):
 
     def __init__(self, results: str | _kalfit.Results, name: str) -> None:
         super().__init__(results, name)
-        #: The formula and its model, where the fit was made by :func:`kalfit.lmm`.
+        #: The formula and its model, if :func:`kalfit.lmm` made the fit; else ``None``.
         self.formula: FormulaModel | None = None
 
     def tidy(self, names: Literal["kalfit", "broom"] = "kalfit") -> Table:
-        """Every estimate as a table, a row for each number: ``name``, ``kind``, ``phase``, ``level``, ``state``, ``other_state``,
-        ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), ``status``, and of means with few
-        tests (``reml``) ``df``, ``statistic`` and ``p_value``. For a data frame:
-        ``fit.tidy().to_polars()`` or ``.to_pandas()``.
+        """Every estimate as a table, a row for each number.
 
-        ``names="broom"`` has the rows and columns of R's broom.mixed: ``effect`` (``fixed``, ``ran_pars``, ``parameter``), ``group``,
-        ``term``, ``estimate``, ``std_error``, ``statistic``, ``df``, ``p_value``, ``conf_low`` and ``conf_high``. Without degrees of
-        freedom the p-values of fixed effects are those of the normal distribution.
+        - ``names``: ``"kalfit"`` has the columns ``name``, ``kind``, ``phase``, ``level``, ``state``, ``other_state``, ``column``,
+          ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), ``df``, ``statistic`` and ``p_value`` (of means
+          under ``reml``) and ``status``, which :class:`kalfit.Estimate` describes. ``"broom"`` has the rows and columns of R's
+          broom.mixed: ``effect`` (``fixed``, ``ran_pars`` or ``parameter``), ``group``, ``term``, ``estimate``, ``std_error``,
+          ``statistic``, ``df``, ``p_value``, ``conf_low`` and ``conf_high``. Without degrees of freedom the p-values of fixed
+          effects are those of the normal distribution.
+
+        For a data frame: ``fit.tidy().to_polars()`` or ``fit.tidy().to_pandas()``.
         """
         if names not in ("kalfit", "broom"):
             raise ValueError(f"names is {names!r}, expected 'kalfit' or 'broom'")
         return broom_rows(self, self.formula) if names == "broom" else Table(self._results.table("parameters"))
 
     def glance(self) -> Table:
-        """The fit as a table of one row: ``title``, ``criterion``, ``model_check``, ``tests``, ``observations``,
-        ``free_parameters``, ``log_likelihood``, ``aic``, ``bic``, ``converged`` (1 or 0), and what broom adds: ``nobs``, ``deviance``
-        (minus twice the log-likelihood; under ``reml`` lme4's REML criterion), ``df_residual`` and, where the model has one noise
-        level called ``sigma``, ``sigma``."""
+        """The fit as a table of one row.
+
+        Its columns are ``title``, ``criterion``, ``model_check``, ``tests``, ``observations``, ``free_parameters``,
+        ``log_likelihood``, ``aic``, ``bic`` and ``converged`` (1 or 0), and those of broom: ``nobs``, ``sigma`` (if the model has one
+        parameter of that name), ``deviance`` (minus twice the log-likelihood; under ``reml`` lme4's REML criterion) and
+        ``df_residual``.
+        """
         noise = [parameter.estimate for parameter in self.parameters if parameter.name == "sigma"]
         data = self._record["data"]
         texts = {"title": self.title, "criterion": self._record["criterion"], "model_check": self.model_check["verdict"]}
@@ -65,11 +70,19 @@ class FitTables(FitRecord):
         return table_of_columns({name: [text] for name, text in texts.items()}, {name: [x] for name, x in numbers.items()})
 
     def vcov(self, what: Literal["fixed", "all"] = "fixed") -> Labelled:
-        """The covariance of the estimates, with their names: of means and regression coefficients, or with ``what="all"`` of variances,
-        covariances and parameters too. ``numpy.asarray(fit.vcov())`` is an array, ``fit.vcov().to_pandas()`` a data frame.
+        """The covariance of the estimates, with their names.
 
-        Under ``reml`` it is the one at the estimated variances, as lme4's ``vcov``; the standard errors of Kenward and Roger, which
-        a fit then has, are a little larger where designs differ.
+        - ``what``: ``"fixed"`` is that of means and regression coefficients, ``"all"`` that of variances, covariances and parameters
+          too.
+
+        ``numpy.asarray(fit.vcov())`` is an array, ``fit.vcov().to_pandas()`` a data frame. Under ``reml`` it is the covariance at the
+        estimated variances, as lme4's ``vcov``; the standard errors of Kenward and Roger, which a fit then has, are a little larger
+        where designs differ. Raises ``ValueError`` for a fit of more than 200 estimates, which does not keep it.
+
+        >>> import kalfit
+        >>> fit = kalfit.fit("examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv")
+        >>> round(fit.vcov()["mean[bias]", "mean[scale]"], 2)
+        0.32
         """
         if what not in ("fixed", "all"):
             raise ValueError(f"what is {what!r}, expected 'fixed' or 'all'")
@@ -82,12 +95,15 @@ class FitTables(FitRecord):
         return Labelled([names[k] for k in kept], values[np.ix_(kept, kept)])
 
     def conf_int(self, level: float = 0.95, method: Literal["wald", "profile", "bootstrap"] | None = None) -> Table:
-        """Intervals as a table: ``name``, ``lower`` and ``upper`` of every estimate that has one; an end that was not found is NaN.
+        """Confidence intervals as a table: ``name``, ``lower`` and ``upper`` of every estimate that has one.
 
-        At 95 % they are those of the fit, whose option ``intervals`` says how they are found. ``method="wald"`` takes them from
-        standard errors, as any other level does: of means by Student's t where the fit has degrees of freedom, on the logarithmic
-        scale for what is positive, on the atanh scale for correlations. ``method="profile"`` and
-        ``method="bootstrap"`` take those of the fit, which has them at 95 % only.
+        - ``level``: confidence, between 0 and 1.
+        - ``method``: ``None`` takes the intervals of the fit at 0.95, whose option ``intervals`` says how they are computed, and
+          those from standard errors at other levels. ``"wald"`` takes those from standard errors: of means by Student's t where
+          the fit has degrees of freedom, on the logarithmic scale for what is positive, on the atanh scale for correlations.
+          ``"profile"`` and ``"bootstrap"`` take those of a fit with this option, at 0.95 only.
+
+        An end that was not found is NaN. Raises ``ValueError`` if the fit has no such intervals.
         """
         rows = self._intervals(level, method)
         ends = {"lower": [low for _, low, _ in rows], "upper": [high for _, _, high in rows]}
@@ -116,8 +132,12 @@ class FitTables(FitRecord):
         return rows
 
     def summary(self, width: int = 80, color: bool = False, *, level: float | None = None) -> str:
-        """The results in words and tables, as the command prints them. With ``level`` a table of intervals at that level follows,
-        those of :meth:`conf_int`."""
+        """The results in words and tables, as the command prints them.
+
+        - ``width``: number of characters of a line.
+        - ``color``: ``True`` adds the colours of a terminal.
+        - ``level``: a confidence, such as 0.9, at which a table of the intervals of :meth:`conf_int` follows.
+        """
         text = self._results.summary(width, color)
         if level is None:
             return text
@@ -127,20 +147,19 @@ class FitTables(FitRecord):
         return text.rstrip("\n") + f"\n\nIntervals at {100 * level:g} %\n" + "\n".join(f"  {line}" for line in lines) + "\n"
 
     def parameters_frame(self) -> Any:
-        """All estimates as a ``pandas.DataFrame`` with a row for each number, as ``kalfit fit --parameters`` writes them: ``name``,
-        ``kind`` (``mean``, ``regression``, ``std_dev``, ``covariance``, ``correlation``, ``parameter`` and more), ``phase``, ``level``,
-        ``state``, ``other_state``, ``column``, ``unit``, ``estimate``, ``std_error``, ``lower`` and ``upper`` (95 %), ``status``:
-        ``estimated``, ``fixed``, ``at zero``, ``not identified`` and more, and ``df``, ``statistic`` and ``p_value`` of means with
-        few tests. This takes pandas.
+        """All estimates as a ``pandas.DataFrame`` with a row for each number and the columns of :meth:`tidy`, as
+        ``kalfit fit --parameters`` writes them. This needs pandas.
         """
         rows = json.loads(self._results.quantities())
         texts = ["name", "kind", "phase", "level", "state", "other_state", "column", "unit"]
         return data_frame(rows, texts, ["estimate", "std_error", "lower", "upper", "df", "statistic", "p_value"], ["status"])
 
     def tests_frame(self) -> Any:
-        """What each test says as a ``pandas.DataFrame`` with a row for each test: ``id``, ``group``, ``log_likelihood``,
-        ``observations``, ``distance``, ``degrees_of_freedom``, ``p_value``, ``mean[STATE]`` and ``std_dev[STATE]``, the states of
-        several phases after the phase's name. This takes pandas.
+        """What the fit says of each test, as a ``pandas.DataFrame`` with a row for each test. This needs pandas.
+
+        Its columns are ``id``, ``group``, a column for each level of groups, ``log_likelihood``, ``observations``, ``distance``,
+        ``degrees_of_freedom``, ``p_value``, ``mean[STATE]`` and ``std_dev[STATE]``; with several phases the name of the phase comes
+        first, as in ``mean[coast: bias]``. :class:`kalfit.TestFit` describes them.
         """
         import pandas
 
@@ -161,18 +180,23 @@ class FitTables(FitRecord):
         return pandas.DataFrame(rows)
 
     def constraints_frame(self) -> Any:
-        """What each constraint costs as a ``pandas.DataFrame`` with a row for each constrained element, as ``kalfit fit --constraints``
-        writes it: ``element``, ``phase``, ``level``, ``value``, ``sensitivity``, ``score_statistic``, ``p_value``,
-        ``expected_change``, ``likelihood_ratio`` and ``likelihood_ratio_p_value``. This takes pandas.
+        """What each constraint costs, as a ``pandas.DataFrame`` with a row for each constrained element. This needs pandas.
+
+        Its columns, as ``kalfit fit --constraints`` writes them, are ``element``, ``phase``, ``level``, ``value`` (at which it is
+        fixed), ``sensitivity`` (derivative of the log-likelihood with respect to that value), ``score_statistic`` and ``p_value``
+        (the score test of the constraint), ``expected_change`` (of the element if it were freed), ``likelihood_ratio`` and
+        ``likelihood_ratio_p_value`` (of a fit without the constraint, where one was made).
         """
         numbers = ["value", "sensitivity", "score_statistic", "p_value", "expected_change"]
         numbers += ["likelihood_ratio", "likelihood_ratio_p_value"]
         return data_frame(self._record["constraints"], ["element", "phase", "level"], numbers, [])
 
     def rows_frame(self) -> Any:
-        """Measurements that contradict the others of their test as a ``pandas.DataFrame`` with a row for each, as ``kalfit fit --rows``
-        writes them: ``test``, ``phase``, ``file``, ``measurement``, ``row``, ``time``, ``deviation``, ``std_dev``, ``p_value`` and
-        ``adjusted_p_value``. This takes pandas.
+        """Measurements that contradict the others of their test, as a ``pandas.DataFrame`` with a row for each. This needs pandas.
+
+        Its columns, as ``kalfit fit --rows`` writes them, are ``test``, ``phase``, ``file``, ``measurement``, ``row``, ``time``,
+        ``deviation`` (from what all other measurements of the test say, in the unit of the measurement) and its ``std_dev``,
+        ``p_value``, and ``adjusted_p_value`` (for the number of measurements). Raises ``ValueError`` for a fit without innovations.
         """
         if self.misfit is None:
             raise ValueError("this fit has no innovations, by which single measurements are examined")

@@ -25,18 +25,18 @@ __all__ = ["Ensemble", "fit"]
 
 
 class Ensemble:
-    """Tests given by the arrays of their state-space models. Made by :meth:`from_arrays`.
+    """Tests that are given by the arrays of their state-space models, without a model file. Made by :meth:`from_arrays`.
 
-    It stands wherever data stand, beside the model that :meth:`model` makes for it, and :func:`kalfit.fit` and :meth:`fit` fit
-    it directly.
+    An ensemble is fitted by :meth:`fit` or :func:`kalfit.fit`. Every other function takes it as data, beside the model that
+    :meth:`model` makes for it. ``len(ensemble)`` is the number of tests.
     """
 
     def __init__(self, table: Table, parts: Mapping[str, object], states: list[str], ids: list[str]) -> None:
-        #: The data: a row a step, a column for whatever is not the same in all rows.
+        #: The data: a row for each step, and a column for each element of an array that is not the same in all rows.
         self.table = table
-        #: Names of the states, in the order of the arrays.
+        #: Names of the n states, in the order of the arrays.
         self.states = states
-        #: Ids of the tests.
+        #: Names of the tests.
         self.ids = ids
         self._parts = parts
 
@@ -57,38 +57,40 @@ class Ensemble:
         ids: Sequence[str] | None = None,
         step_first: bool = False,
     ) -> Ensemble:
-        r"""Tests of the model
+        """Makes an ensemble from the arrays of state-space models.
+
+        Each test has n states x and m measurements z, which follow
 
         .. code-block:: text
 
-            x_k = F_k x_{k-1} + u_k + w_k,  w_k ~ N(0, Q_k)        z_k = H_k x_k + d_k + v_k,  v_k ~ N(0, R_k)
+            x_k = F_k x_{k-1} + u_k + w_k,  w_k ~ N(0, Q_k)
+            z_k = H_k x_k + d_k + v_k,      v_k ~ N(0, R_k)
 
-        whose initial state has a mean and a covariance over the tests that are to be estimated. No transition precedes the
-        first row of a test, unless ``step_first``.
+        The mean and the covariance of the initial state x_0 over the tests are what a fit estimates.
 
-        ============================ ============ ===================================================================
-        argument                     one step     what it is
-        ============================ ============ ===================================================================
-        ``measurements``             (m,)         z: a list with an array (steps, m) for each test, or one array
-                                                  (tests, steps, m); NaN: not measured
-        ``observation``              (m, n)       H
-        ``noise``                    (m, m)       R, a covariance
-        ``transition``               (n, n)       F; identity when None
-        ``process_noise``            (n, n)       Q, a covariance; none when None
-        ``inputs``                   (n,)         u; none when None
-        ``measurement_offsets``      (m,)         d; none when None
-        ``start_offsets``            (n,)         known amount of x_0 beside what is estimated: (n,) or (tests, n)
-        ============================ ============ ===================================================================
+        - ``measurements``: z, a list with an array of shape (steps, m) for each test, or one array (tests, steps, m). NaN is a
+          value that was not measured.
+        - ``observation``: H, of shape (m, n) at each step.
+        - ``noise``: R, the covariance of v, of shape (m, m) at each step.
+        - ``transition``: F, of shape (n, n) at each step; ``None`` is the identity.
+        - ``process_noise``: Q, the covariance of w, of shape (n, n) at each step; ``None`` is zero.
+        - ``inputs``: u, of shape (n,) at each step; ``None`` is zero.
+        - ``measurement_offsets``: d, of shape (m,) at each step; ``None`` is zero.
+        - ``start_offsets``: a known amount of x_0 that is added to the part that is estimated, of shape (n,) or (tests, n).
+        - ``known_start``: mean and standard deviation of each state whose start is known, as in ``{"drift": (0.0, 0.2)}``; such
+          states are no part of what is estimated.
+        - ``states``: names of the states; ``None`` calls them ``x1``, ``x2``, ...
+        - ``ids``: names of the tests; ``None`` calls them ``1``, ``2``, ...
+        - ``step_first``: ``True`` if a transition precedes the first row of a test; else x_0 is the state at its first row.
 
-        Each of those from ``observation`` to ``measurement_offsets`` is one array of one step's shape, the same always; or an
-        array (steps, ...), the same for all tests, of which a shorter test takes the beginning; or a list with one of these for
-        each test. Values that no measurement needs may be NaN.
+        Each of ``observation``, ``noise``, ``transition``, ``process_noise``, ``inputs`` and ``measurement_offsets`` is one array
+        of the shape of a step, the same at all steps; or an array (steps, ...), the same for all tests, of which a shorter test
+        takes the beginning; or a list with one of these for each test. Values that no measurement needs may be NaN.
 
-        ``known_start`` names states whose start is known, with its mean and standard deviation: they are not part of what is
-        estimated. ``states`` and ``ids`` are names of the states (``x1``, ``x2``, ...) and of the tests (``1``, ``2``, ...).
+        Raises ``ValueError`` for arrays whose shapes do not go together, and for covariances that are not symmetric.
 
         >>> import numpy, kalfit
-        >>> line = numpy.array([[[1.0, 0.0]], [[1.0, 5.0]], [[1.0, 10.0]]])          # H: 3 steps, m = 1, n = 2
+        >>> line = numpy.array([[[1.0, 0.0]], [[1.0, 5.0]], [[1.0, 10.0]]])  # H: 3 steps, m = 1, n = 2
         >>> ends = [(1.0, 2.1), (0.2, 0.3), (1.9, 4.2), (0.8, 0.9), (1.1, 3.0), (0.4, 1.2)]
         >>> ensemble = kalfit.Ensemble.from_arrays(
         ...     [numpy.array([[a], [0.5 * (a + b)], [b]]) for a, b in ends],
@@ -99,8 +101,6 @@ class Ensemble:
         >>> fit = ensemble.fit(covariance={"structure": "diagonal"})
         >>> fit.mean.round(6).tolist()
         [0.9, 0.105]
-
-        Raises :class:`ValueError` for arrays whose shapes do not go together.
         """
         z = measured_tests(measurements)
         rows = [len(test) for test in z]
@@ -134,7 +134,12 @@ class Ensemble:
         covariance: Mapping[str, object] | None = None,
         title: str = "",
     ) -> Model:
-        """The model of these tests, with the structure of a model file's ``[mean]`` and ``[covariance]``."""
+        """The model of these tests.
+
+        - ``mean``: constraints on the mean, as a dictionary of the keys of ``[mean]`` in a model file.
+        - ``covariance``: constraints on the covariance, as those of ``[covariance]``: ``{"structure": "diagonal"}``.
+        - ``title``: a line for summaries and reports.
+        """
         parts: dict[str, object] = {"title": title, **self._parts}
         if mean is not None:
             parts["mean"] = mean
@@ -150,7 +155,10 @@ class Ensemble:
         title: str = "",
         **options: Any,
     ) -> Fit:
-        """Fits these tests; ``options`` are those of :func:`kalfit.fit`."""
+        """Fits these tests: :func:`kalfit.fit` with the model that :meth:`model` makes.
+
+        ``mean``, ``covariance`` and ``title`` are those of :meth:`model`, ``options`` those of :func:`kalfit.fit`.
+        """
         return fit(self.model(mean=mean, covariance=covariance, title=title), self, **options)
 
     def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
@@ -189,18 +197,52 @@ def fit(
     report: Path | None = None,
     progress: Progress = False,
 ) -> Fit:
-    """Fits a model to data by maximum likelihood.
+    """Fits a model to data by maximum likelihood: the mean and covariance of the initial state, and the free parameters.
 
-    ``model`` is a :class:`kalfit.Model`, the path of a model file, or a dictionary; ``data`` a table of polars, pandas or
-    pyarrow, a path or a pattern of paths, or a list of these. The options are those of ``kalfit fit``, under the same names:
-    ``set={"tau": 90}`` fixes a parameter, ``out`` names a file for the results, ``report`` one for the HTML report. Made here, the
-    report shows the records too, where they have times; :meth:`Fit.report` makes it from the results alone. ``tests=False`` leaves
-    out all results of single tests, for millions of tests. ``df`` goes with ``criterion="reml"``, where ``"kenward-roger"`` is the
-    default. ``progress=True`` writes a line to standard error; a function is called
-    with a :class:`kalfit.Step` instead.
+    The options are those of the command ``kalfit fit``, under the same names.
 
-    A fit that did not converge comes with a :class:`kalfit.ConvergenceWarning`. The work is done without Python's lock. Ctrl-C ends it at once; if there is something to show by then, the exception is
-    :class:`kalfit.Interrupted`, with the best fit so far.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables; or a :class:`kalfit.Ensemble`,
+      which has its own data.
+    - ``data``: the tests: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``method``: how free parameters are estimated. ``"hybrid"`` searches over them, and solves for mean and covariance at each
+      step; ``"innovations"`` searches over all of them jointly; ``"em"`` is the EM algorithm, with many more steps to the same
+      maximum; ``"all"`` runs all three for comparison, and returns the results of ``"hybrid"``.
+    - ``solver``: how mean and covariance are estimated: by Newton's method with the exact Hessian (``"newton"``), or by the EM
+      algorithm (``"em"``).
+    - ``criterion``: what is maximised: the likelihood (``"ml"``), or the restricted likelihood (``"reml"``), by which
+      covariances are less biased with few tests.
+    - ``phases``: how the phases of a test are combined: exactly, phase by phase (``"chain"``); each by itself, so that their
+      correlation is lost (``"marginal"``); or exactly, as one large test (``"stacked"``).
+    - ``intervals``: how 95 % intervals are computed: from standard errors (``"wald"``), from the profile likelihood
+      (``"profile"``), or from it with quantiles of 199 drawn ensembles, for known parameters (``"bootstrap"``). ``"auto"``
+      takes profiles with ``criterion="reml"`` and at most 50 tests or units, where that is quick, and standard errors else.
+    - ``df``: how degrees of freedom of means are computed, with ``criterion="reml"`` only: ``"kenward-roger"`` (the default
+      there), ``"satterthwaite"`` or ``"none"``.
+    - ``std_errors``: how standard errors are computed: from the curvature of the log-likelihood (``"observed"``), from its
+      expectation (``"expected"``), or from the curvature and the scatter of the tests' scores (``"sandwich"``), which is valid
+      for wrong models too, given many tests.
+    - ``deletion``: whether the fit is repeated without each test in turn, to find influential ones: if that takes about a
+      second at most (``"auto"``), always (``"all"``) or never (``"none"``).
+    - ``innovations``: ``False`` leaves out the innovations, by which the model is checked, and reads the data once only.
+    - ``tests``: ``False`` leaves out all results of single tests, for millions of tests.
+    - ``group_test``: ``True`` also fits each group of ``[data] group`` by itself, and tests whether the groups differ.
+    - ``starts``: number of additional random starts of the search for free parameters, at most 10000; ``None`` is 0.
+    - ``seed``: seed of these starts; ``None`` is 1.
+    - ``tolerance``: the search ends within this many standard errors of the maximum; ``None`` is 1e-8.
+    - ``max_iterations``: the search ends after this many iterations; ``None`` is 200, or 20000 with ``solver="em"``.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``out``: a file for all results, as JSON, which :meth:`Fit.load` reads.
+    - ``report``: a file for the report, one HTML page. It shows the records of the tests too, where these have times;
+      :meth:`Fit.report` makes it from the results alone.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Fit`. If it did not converge, it comes with a :class:`kalfit.ConvergenceWarning`. Other threads of
+    Python run meanwhile. Ctrl-C ends the fit; if there are estimates by then, :class:`kalfit.Interrupted` has them.
+
+    Raises :class:`kalfit.ModelError` if the model is wrong, :class:`kalfit.DataError` if the data are, and
+    :class:`kalfit.FitError` if the model or an option does not go with the data. An argument outside its range is a
+    ``ValueError``, one of another type a ``TypeError``.
 
     >>> import kalfit
     >>> fit = kalfit.fit("examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv")

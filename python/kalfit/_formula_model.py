@@ -20,48 +20,48 @@ __all__ = ["FormulaModel", "model_from_formula"]
 
 
 class FormulaModel:
-    """A formula as a model of kalfit, with the data that it takes. Made by :func:`model_from_formula`.
+    """A formula as a model of kalfit, with the data that the model takes. Made by :func:`kalfit.model_from_formula`.
 
-    Printed, it is the text of the model file.
+    ``print`` shows the text of the model file.
     """
 
     def __init__(self, maker: Maker) -> None:
-        #: The formula.
+        #: The formula, as it was given.
         self.formula: str = maker.text.text
-        #: The model.
+        #: The model that the formula stands for.
         self.model: Model = Model.from_text(model_file(maker.parts), f"formula `{maker.text.text}`")
         #: The rows without missing values as a ``pandas.DataFrame``, with the columns that were made for the model.
         self.data: Any = maker.frame.reset_index(drop=True)
-        #: The place of each of these rows in the data that were given, from 0.
+        #: The place of each of these rows in the data that were given, from 0, shape (rows,).
         self.rows: np.ndarray[Any, np.dtype[np.intp]] = maker.frame.index.to_numpy(dtype=np.intp)
         #: Number of rows that were given.
         self.rows_given: int = maker.rows_given
         #: What each state is in the formula: ``{"kind_b": "kind[T.b]"}``.
         self.terms: dict[str, str] = dict(maker.terms)
-        #: States with a mean that is estimated: the fixed effects.
+        #: Names of the states with an estimated mean: the fixed effects.
         self.fixed: list[str] = [state for state in maker.terms if state not in maker.parts.zero_means]
-        #: The grouping factor of each level, the outermost first; that of the tests is called ``tests``.
+        #: The grouping factor of each level, the outermost first; the innermost one is that of ``tests``: ``{"tests": "Subject"}``.
         self.groups: dict[str, str] = {g.column: g.name for g in maker.parts.groupings[:-1]} | {"tests": maker.parts.groupings[-1].name}
-        #: Columns that were made for the model, and what each is.
+        #: Columns that were made for the model, and the term of the formula that each is.
         self.made: dict[str, str] = dict(maker.made)
-        #: Rows that were left out, fixed effects that were left out.
+        #: Which rows and fixed effects were left out, in plain words.
         self.notes: list[str] = list(maker.notes)
         self._maker = maker
 
     def prepare(self, data: Data) -> Any:
-        """Other data as a ``pandas.DataFrame`` with the columns that were made for the model, to which the fit can be applied.
+        """Other ``data`` as a ``pandas.DataFrame`` with the columns that were made for the model, so that a fit can be applied to them.
 
-        Levels of factors, means, knots and bases are those of the first data. No row is left out.
+        Levels of factors, means, knots and bases are those of the data of the formula. No row is left out.
         """
         return self._maker.again(data)
 
     def again(self, formula: str | None = None, data: Data | None = None) -> FormulaModel:
-        """Another formula or other data with the same weights, variances and context."""
+        """Makes the model of another ``formula``, or of other ``data``, with the same weights, variances and context."""
         options = self._maker.options
         return model_from_formula(formula or self.formula, self._maker.data if data is None else data, **options)
 
     def save(self, folder: Path) -> None:
-        """Writes ``model.toml``, and ``data.csv`` where the model takes made columns or rows were left out."""
+        """Writes ``model.toml`` into ``folder``, which is made if it is missing, and ``data.csv`` if :attr:`takes_other_data`."""
         place = FilePath(folder)
         place.mkdir(parents=True, exist_ok=True)
         (place / "model.toml").write_text(str(self), encoding="utf-8")
@@ -70,7 +70,7 @@ class FormulaModel:
 
     @property
     def takes_other_data(self) -> bool:
-        """Whether the model needs other data than were given: columns were made, or rows were left out."""
+        """Whether the model takes other data than were given: columns were made, or rows were left out."""
         return bool(self.made) or len(self.rows) < self.rows_given
 
     def __str__(self) -> str:
@@ -91,19 +91,25 @@ def model_from_formula(
     variances: str | None = None,
     context: Mapping[str, Any] | None = None,
 ) -> FormulaModel:
-    """Makes a model of a formula in the words of lme4: ``y ~ x * kind + (1 + x | unit / run)``.
+    """Makes the model of a formula of lme4. This needs ``pip install 'kalfit[formula]'``.
 
-    Fixed effects are read by the package formulaic: factors with treatment contrasts as in R, interactions, ``log(x)``,
-    ``I(x^2)``, ``poly(x, 2)``, ``bs(x, df=4)``, ``scale(x)``, ``center(x)``, and functions of ``context``. Random terms may be
-    correlated, ``(1 + x | g)``, or not, ``(1 + x || g)``; groups may be nested, ``a / b`` or ``a:b``, and must not cross.
-    ``offset(o)`` adds a column as it is. Rows with missing values are left out, as R's ``na.omit`` does, and a
-    :class:`kalfit.FormulaWarning` says how many.
+    - ``formula``: such as ``"y ~ x * kind + (1 + x | unit / run)"``. Fixed effects are read by the package formulaic: factors with
+      treatment contrasts as in R, interactions, ``log(x)``, ``I(x^2)``, ``poly(x, 2)``, ``bs(x, df=4)``, ``scale(x)``,
+      ``center(x)``, and functions of ``context``. Random terms may be correlated, ``(1 + x | g)``, or not, ``(1 + x || g)``; groups
+      may be nested, ``a / b`` or ``a:b``, and must not cross. ``offset(o)`` adds a column as it is.
+    - ``data``: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``weights``: name of a column w, by which the noise has the variance ``sigma^2 / w``.
+    - ``variances``: name of a column with the known variance of the noise of each row, as in a meta-analysis; then no ``sigma`` is
+      estimated.
+    - ``context``: functions and values by the names that the formula has for them: ``{"half": lambda x: x / 2}``.
 
-    ``weights`` names a column w, by which the noise has the variance ``sigma^2 / w``. ``variances`` names a column of known
-    variances of the noise, as in a meta-analysis; then no ``sigma`` is estimated.
+    Returns a :class:`kalfit.FormulaModel`. Rows with missing values are left out, as R's ``na.omit`` does, and fixed effects whose
+    columns depend on others; a :class:`kalfit.FormulaWarning` says which. Raises :class:`kalfit.ModelError` for a formula that cannot
+    be read or has crossed groups, :class:`kalfit.DataError` for wrong data, and ``ImportError`` without formulaic and pandas.
 
     >>> import kalfit
-    >>> made = kalfit.model_from_formula("Reaction ~ Days + (Days | Subject)", "examples/random-coefficients/sleepstudy.csv")
+    >>> data = "examples/random-coefficients/sleepstudy.csv"
+    >>> made = kalfit.model_from_formula("Reaction ~ Days + (Days | Subject)", data)
     >>> print(made.model.describe().splitlines()[0])
     tests: one for each value of column `Subject`
     >>> made.terms, made.groups

@@ -13,6 +13,8 @@ from kalfit._model import ModelLike, Path, as_model, assignments
 
 __all__ = ["Set", "Text", "file_name", "model_text", "outputs_text", "source_text", "table_of", "text_beside"]
 
+#: Values at which parameters are fixed: a dictionary, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level; or a list of
+#: texts, as in ``["tau=90"]``. ``None`` fixes none.
 Set = Union[Mapping[str, float], Sequence[str], None]
 #: What messages call a text, the text, and the file that it is from.
 Text = tuple[str, str, Union[str, None]]

@@ -30,7 +30,15 @@ __all__ = [
 def check(
     model: ModelLike, data: Data | None = None, *, set: Set = None, threads: int | None = None, progress: Progress = False
 ) -> Check:
-    """Reads a model, and data if given, and fits nothing: the model in words, counts, what the data identify.
+    """Checks a model, and data if given, without a fit: the model in words, counts, and what the data identify.
+
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``data``: the tests; ``None`` checks the model alone.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Check`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> found = kalfit.check("examples/gyro-bench/bench.toml")
@@ -58,14 +66,25 @@ def test(
 ) -> RatioTest:
     """Tests a hypothesis within a model by the ratio of the likelihoods.
 
-    ``null`` is a file with ``[mean]``, ``[covariance]`` or ``[parameters]``, or a dictionary of these: its keys replace the
-    model's. ``bootstrap`` draws that many ensembles from the hypothesis, with ``seed``; 0 draws none. ``None`` draws 999
-    where at most 50 tests or units have known parameters.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``data``: the tests: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``null``: the hypothesis: a dictionary with ``mean``, ``covariance``, ``parameters`` or ``levels``, or a file with these
+      tables. Its keys replace those of the model; ``structure`` drops the other keys of ``covariance``.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``bootstrap``: number of ensembles that are drawn from the hypothesis, for a p-value without large-sample theory; 0 draws
+      none. ``None`` draws 999 where there are at most 50 tests or units and all parameters are known.
+    - ``seed``: seed of the bootstrap.
+    - ``tolerance``: each search ends within this many standard errors of the maximum; ``None`` is 1e-8.
+    - ``max_iterations``: each search ends after this many iterations; ``None`` is 200.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``out``: a file for all results, as JSON.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.RatioTest`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
-    >>> found = kalfit.test(
-    ...     "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv", {"mean": {"fixed": {"bias": 0}}}
-    ... )
+    >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
+    >>> found = kalfit.test(model, data, {"mean": {"fixed": {"bias": 0}}})
     >>> 0 < found.p_value < 0.01
     True
     """
@@ -100,10 +119,22 @@ def simulate(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Simulation:
-    """Draws an ensemble from ``source``: a fit, its file, or a model with values.
+    """Draws an ensemble of tests from a fit, or from the values in a model.
 
-    ``design`` gives times, inputs and which values are missing. The data are in ``.data`` of the result, and the initial states
-    that were drawn in ``.states``, unless ``out`` names a file for the data (``truth`` one for the states).
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``source``: where mean, covariance and parameters come from: a fit, its file, or a model with fixed or start values.
+    - ``design``: data that give times, inputs and missing values; the measured values in them are not used.
+    - ``seed``: the same seed draws the same ensemble.
+    - ``tests``: number of tests; ``None`` is as many as the design has. The tests of the design are used in turn; from the second
+      round on they have ids such as ``A#2``.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a file for the data, in place of ``.data`` of the result. Its ending is the format: ``.csv``, ``.tsv``,
+      ``.parquet`` or ``.arrow``.
+    - ``truth``: a file for the true initial states, where ``out`` names one for the data.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Simulation`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
@@ -138,13 +169,26 @@ def validate(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Validation:
-    """Predicts tests by fits that were made without them: how well does a model do, and does another one do better?
+    """Cross-validates a model: how well it predicts tests that were left out of the fit, and whether another model does better.
 
-    Tests are drawn into ``folds`` with ``seed``; as many folds as tests leave each one out by itself. With ``by`` those with the
-    same text in that column are a fold. ``against`` is another model of the same measurements.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``data``: the tests: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``folds``: number of folds, 2 or more, into which the tests are drawn, or in a model with levels the groups of the outermost
+      one; as many folds as tests leave out each test by itself.
+    - ``seed``: seed of that draw.
+    - ``by``: a column of the data: tests with the same text in it are a fold, in place of a draw.
+    - ``against``: another model of the same measurements, for a comparison on the same folds; ``set`` does not apply to it.
+    - ``criterion``: what the fits maximise: the likelihood (``"ml"``) or the restricted likelihood (``"reml"``).
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a file for all results, as JSON.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Validation`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
-    >>> model, data = "examples/random-coefficients/sleepstudy.toml", "examples/random-coefficients/sleepstudy.csv"
+    >>> folder = "examples/random-coefficients"
+    >>> model, data = f"{folder}/sleepstudy.toml", f"{folder}/sleepstudy.csv"
     >>> found = kalfit.validate(model, data, folds=6)
     >>> found.log_density < kalfit.fit(model, data).log_likelihood
     True
@@ -174,14 +218,25 @@ def export(
     format: Literal["json", "npz", "mat", "c", "python"] | None = None,
     out: Path | None = None,
 ) -> Filter:
-    """The filter that follows from a fit, as constant matrices: all parameters are taken from ``source``.
+    """Makes the Kalman filter that follows from a fit, as constant matrices for other programs.
 
-    ``source`` is a fit, its file, or a model with values. ``step`` is the length of a step in the model's unit of time, where anything
-    depends on it. Columns that multiply states, or that noise depends on, are given a value by ``at``: ``at={"temperature": 20}``.
-    ``out`` names a file for the filter, of the ``format`` that its ending says unless one is given.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``source``: where mean, covariance and parameters come from: a fit, its file, or a model with fixed or start values.
+    - ``step``: length of a step in the model's unit of time; it is needed where anything depends on it.
+    - ``at``: values of columns on which coefficients of states, or noise, depend: ``{"temperature": 20}``.
+    - ``phase``: the phase whose filter it is, for a model with several.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``format``: what is written to ``out``: JSON (``"json"``), arrays of numpy (``"npz"``), variables of Matlab and Octave
+      (``"mat"``), a header for C and C++ (``"c"``) or a module of Python (``"python"``). ``None`` goes by the ending of the file:
+      ``.json``, ``.npz``, ``.mat``, ``.h`` or ``.py``.
+    - ``out``: a file for the filter.
+
+    Returns a :class:`kalfit.Filter`, and raises :class:`kalfit.ModelError` if the matrices depend on ``step`` or on a column
+    that has no value.
 
     >>> import kalfit
-    >>> model, data = "examples/random-coefficients/sleepstudy.toml", "examples/random-coefficients/sleepstudy.csv"
+    >>> folder = "examples/random-coefficients"
+    >>> model, data = f"{folder}/sleepstudy.toml", f"{folder}/sleepstudy.csv"
     >>> filter = kalfit.export(model, kalfit.fit(model, data), at={"Days": 3})
     >>> filter.states, filter.H.tolist()
     (['intercept', 'slope'], [[1.0, 3.0]])
@@ -205,10 +260,22 @@ def datasheet(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Datasheet:
-    """The numbers of a datasheet, in its units: random walks, Gauss-Markov pairs, turn-on repeatability, Allan deviations.
+    """Computes the numbers of a datasheet in their usual units: random walks, turn-on repeatability, Allan deviations.
 
-    ``source`` is a fit, its file, or a model with values. With ``data`` the Allan deviation of their records stands beside that of the
-    model; without, ``step`` is the time from a value to the next. Columns that noise or motion depend on are given a value by ``at``.
+    Numbers in deg/h, deg/s and rad/s become deg/h, those in m/s^2, g, mg and ug become ug; white noise of them is in deg/sqrt(h)
+    and m/s/sqrt(h). Other units stay as they are.
+
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``source``: where mean, covariance and parameters come from: a fit, its file, or a model with fixed or start values.
+    - ``data``: tests whose Allan deviations stand beside those of the model.
+    - ``step``: time from a value to the next in the model's unit of time, where there are no data.
+    - ``at``: values of columns on which noise or motion depend: ``{"temperature": 20}``.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a file for all results, as JSON.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Datasheet`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> model, data = "examples/mimu4444/gyro_x.toml", "examples/mimu4444/gyro_x.csv"
@@ -232,15 +299,20 @@ def datasheet(
 
 
 def compare(fits: Mapping[str, Fit | Path] | Sequence[Fit | Path], *, out: Path | None = None) -> Comparison:
-    """Puts fits of the same data side by side: likelihoods, AIC and BIC, tests of one within another, what differs.
+    """Compares fits of the same data: log-likelihoods, AIC and BIC, likelihood-ratio tests of nested fits, and what differs.
 
-    ``fits`` is a list of fits or of their files, or a dictionary of these with names to call them by.
+    - ``fits``: a list of two or more fits or their files, or a dictionary of these with names to call them by. Files may also be
+      those of ``kalfit validate --out``.
+    - ``out``: a file for all results, as JSON.
+
+    Returns a :class:`kalfit.Comparison`, and raises :class:`kalfit.DataError` if the fits are of different data.
 
     >>> import kalfit
     >>> data = "examples/random-coefficients/sleepstudy.csv"
     >>> model = kalfit.Model.load("examples/random-coefficients/sleepstudy.toml")
     >>> apart = kalfit.Model.from_text(model.text + '\\n[covariance]\\nstructure = "diagonal"')
-    >>> compared = kalfit.compare({"full": kalfit.fit(model, data), "diagonal": kalfit.fit(apart, data)})
+    >>> fits = {"full": kalfit.fit(model, data), "diagonal": kalfit.fit(apart, data)}
+    >>> compared = kalfit.compare(fits)
     >>> [round(fit["delta_aic"], 2) for fit in compared.fits], compared.nested[0]["df"]
     ([1.94, 0.0], 1)
     """
@@ -264,10 +336,21 @@ def plan(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Plan:
-    """Expects standard errors against the number of tests, before any is run.
+    """Computes the standard errors to be expected from different numbers of tests, before any test is run.
 
-    Of a model with levels ``groups`` says how many groups of each level there are in each group of the one above, as in
-    ``{"serial": [5, 10, 20]}``; ``tests`` is then how many tests there are in each group of the innermost level.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``source``: the population that is taken to be the true one: a fit, its file, or a model with fixed or start values.
+    - ``design``: data that give times, inputs and missing values; the measured values in them are not used.
+    - ``tests``: the numbers of tests, each like those of the design: ``[10, 20, 50]``. With ``groups``, the numbers of tests in
+      each group of the innermost level.
+    - ``groups``: for a model with levels, the numbers of groups of each level in each group of the level above:
+      ``{"serial": [5, 10, 20]}``.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a file for all results, as JSON.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a :class:`kalfit.Plan`, and raises what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
@@ -303,10 +386,18 @@ def reduce(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Table | None:
-    """Runs the filters once, at known parameters: all that a fit needs of the data, a row for each test and phase.
+    """Runs the filters once at known parameters, and returns the reductions: all that a fit needs of the data.
 
-    Free parameters take their values from ``at``, a fit or its file, or from ``set``. The table goes to the Parquet file
-    ``out``, or is handed back; it may stand wherever data stand.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``data``: the tests: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``at``: a fit or its file, from which free parameters of the model take their values.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a Parquet file for the table.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a table with a row for each test and phase, or ``None`` if ``out`` names a file. Table and file can be used wherever
+    data can. Raises :class:`kalfit.ModelError` if a parameter has no value, and what :func:`kalfit.fit` raises.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
@@ -330,9 +421,18 @@ def estimates(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Table | None:
-    """Runs the ``[filter]`` of each phase, optimal or not: its estimates with the errors they make.
+    """Runs the ``[filter]`` of each phase, optimal or not, and returns its estimates with the covariance of their errors.
 
-    As :func:`reduce`, in the form that any filter's estimates can be given in.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``data``: the tests: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``at``: a fit or its file, from which free parameters of the model take their values.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``out``: a Parquet file for the table.
+    - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
+
+    Returns a table with a row for each test and phase, or ``None`` if ``out`` names a file. Table and file can be used wherever
+    data can. Raises :class:`kalfit.DataError` if a phase has no ``[filter]``, and what :func:`kalfit.fit` raises.
     """
     with how(threads, progress) as told:
         return _exchange("estimates", (model, set), data, at, out, told)

@@ -12,10 +12,14 @@ __all__ = ["Labelled"]
 
 
 class Labelled:
-    """A square matrix with names: ``matrix["a", "b"]`` is one element, ``numpy.asarray(matrix)`` all of them."""
+    """A square matrix whose rows and columns have names. Made by :meth:`Fit.vcov`.
+
+    ``matrix["a", "b"]`` is one element, ``numpy.asarray(matrix)`` all of them, ``len(matrix)`` the number p of rows. A name that does
+    not exist raises ``KeyError``.
+    """
 
     def __init__(self, names: list[str], values: Array) -> None:
-        #: Names of rows and columns.
+        #: Names of rows and columns, p of them.
         self.names = names
         #: The matrix, shape (p, p).
         self.values = values
@@ -36,7 +40,7 @@ class Labelled:
         return len(self.names)
 
     def to_pandas(self) -> Any:
-        """The matrix as a ``pandas.DataFrame``; this takes pandas."""
+        """The matrix as a ``pandas.DataFrame``; this needs pandas."""
         import pandas
 
         return pandas.DataFrame(self.values, index=self.names, columns=self.names)

@@ -23,15 +23,21 @@ def lmm(
     context: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Fit:
-    """Fits a linear mixed model that a formula in the words of lme4 describes.
+    """Fits a linear mixed model that is given by a formula of lme4. This needs ``pip install 'kalfit[formula]'``.
 
-    As lme4 and statsmodels do, it maximises the restricted likelihood; ``reml=False`` asks for the full one, which is the default
-    of :func:`kalfit.fit`. Everything else is as there: ``options`` are those of :func:`kalfit.fit`. What the formula may say, and
-    ``weights``, ``variances`` and ``context``, are described with :func:`kalfit.model_from_formula`. The attribute ``formula`` of the
-    fit has the model, the data with the columns that were made, and what each state is in the formula.
+    - ``formula``: such as ``"y ~ x + (1 + x | unit)"``; :func:`kalfit.model_from_formula` says what it may contain.
+    - ``data``: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
+    - ``reml``: ``True`` maximises the restricted likelihood, as lme4 and statsmodels do by default; ``False`` the likelihood, which
+      is the default of :func:`kalfit.fit`.
+    - ``weights``, ``variances``, ``context``: as in :func:`kalfit.model_from_formula`.
+    - ``options``: those of :func:`kalfit.fit`.
+
+    Returns a :class:`kalfit.Fit`, whose attribute ``formula`` is the :class:`kalfit.FormulaModel`. Raises what
+    :func:`kalfit.model_from_formula` and :func:`kalfit.fit` raise.
 
     >>> import kalfit
-    >>> fit = kalfit.lmm("Reaction ~ Days + (Days | Subject)", "examples/random-coefficients/sleepstudy.csv")
+    >>> data = "examples/random-coefficients/sleepstudy.csv"
+    >>> fit = kalfit.lmm("Reaction ~ Days + (Days | Subject)", data)
     >>> round(-2 * fit.log_likelihood, 4), fit.mean.round(3).tolist()
     (1743.6283, [251.405, 10.467])
     """

@@ -10,19 +10,23 @@ from kalfit import _kalfit, _toml
 
 __all__ = ["Model", "ModelLike", "as_model", "assignments"]
 
+#: The path of a file: a text, or a ``pathlib.Path``.
 Path = Union[str, "os.PathLike[str]"]
 
 
 class Model:
-    """A model: what a model file says, read and found sound.
+    """A model: what a model file says, read and checked.
 
-    Give the tables of a model file as a dictionary, or use :meth:`load` for a file and :meth:`from_text` for its text.
+    ``model`` is a dictionary of the tables of a model file; :meth:`load` reads a file, and :meth:`from_text` its text. Two models
+    are equal if their texts are.
+
+    Raises :class:`kalfit.ModelError` if something is wrong with the model; the message shows the place in the text.
 
     >>> import kalfit
     >>> model = kalfit.Model({
     ...     "data": {"test": "unit"},
     ...     "states": {"bias": {"unit": "deg/h"}, "scale": {}},
-    ...     "measurements": {"rate": {"column": "rate", "equation": "bias + scale * input", "noise": 0.1}},
+    ...     "measurements": {"rate": {"column": "rate", "equation": "bias + scale * u", "noise": 0.1}},
     ... })
     >>> model
     <kalfit.Model 'model'>
@@ -30,23 +34,21 @@ class Model:
     Traceback (most recent call last):
     ...
     kalfit.ModelError: `[measurements]` is missing...
-
-    Raises :class:`kalfit.ModelError` when something is wrong with it; the message shows the place in the text.
     """
 
     __slots__ = ("_file", "_name", "_text", "_words", "digest", "levels", "parameters", "test", "time", "title")
 
-    #: The title, or an empty text.
+    #: The title; an empty text if there is none.
     title: str
-    #: ``sha256:`` and the digest of the text.
+    #: The digest of the text: ``sha256:`` and 64 hexadecimal digits. Results of fits carry it along.
     digest: str
     #: Names of the dynamic parameters.
     parameters: list[str]
-    #: The columns of the groups that tests stand in, the outermost first.
+    #: The columns that name the groups of a test, the outermost first.
     levels: list[str]
-    #: The column that tells tests apart, if there is one.
+    #: The column that names the test; ``None`` if the model names none.
     test: str | None
-    #: The column of time, if there is one.
+    #: The column of time; ``None`` if the model names none.
     time: str | None
 
     def __init__(self, model: Mapping[str, object]) -> None:
@@ -54,7 +56,7 @@ class Model:
 
     @classmethod
     def load(cls, path: Path) -> Model:
-        """Reads a model file.
+        """Reads the model file ``path``. Raises :class:`kalfit.ModelError` if it cannot be read or is wrong.
 
         >>> import kalfit
         >>> kalfit.Model.load("examples/gyro-bench/bench.toml")
@@ -64,7 +66,7 @@ class Model:
 
     @classmethod
     def from_text(cls, text: str, name: str = "model") -> Model:
-        """Reads the text of a model file; messages call it ``name``."""
+        """Reads ``text``, the text of a model file; messages call it ``name``. Raises :class:`kalfit.ModelError` if it is wrong."""
         return cls._of(name, text, None)
 
     @classmethod
@@ -87,7 +89,7 @@ class Model:
         return self._text
 
     def describe(self) -> str:
-        """The model in words, one fact a line."""
+        """The model in words and equations, one fact a line."""
         return "\n".join(self._words)
 
     def __repr__(self) -> str:
@@ -103,6 +105,7 @@ class Model:
         return (Model._of, self._document())
 
 
+#: A model: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
 ModelLike = Union[Model, Path, Mapping[str, object]]
 
 

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 __all__ = ["Array", "MaskedArray", "array", "ends", "masked_array", "number", "square"]
 
+#: An array of numpy, of numbers that are all known.
 Array = NDArray[np.float64]
-#: Numbers of which some may be unknown: those are masked, print as ``--`` and become None in ``tolist()``.
+#: A masked array of numpy, of numbers of which some may be unknown: those are masked, print as ``--`` and become ``None`` in
+#: ``tolist()``, and NaN in ``filled()``.
 MaskedArray: TypeAlias = np.ma.MaskedArray[Any, np.dtype[np.float64]]
 
 

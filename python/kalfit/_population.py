@@ -10,32 +10,28 @@ __all__ = ["Level", "Phase"]
 
 
 class _Spread:
-    """A covariance of initial states, with all that is known of it. Arrays are in the order of :attr:`states`.
-
-    What may be unknown, such as the standard error of a fixed element, comes in masked arrays: an unknown number is masked, and so
-    is whatever is calculated from it. :meth:`why_unknown` says why. Whoever wants NaN asks for it: ``filled()``.
-    """
+    """A covariance of initial states, with all that is known of it. Arrays are in the order of :attr:`states`."""
 
     def __init__(self, record: dict[str, Any]) -> None:
         self._record = record
-        #: Its name.
+        #: Name of the phase or level.
         self.name: str = record["name"]
-        #: Names of the estimated states.
+        #: Names of the p estimated states, in the order of every array.
         self.states: list[str] = list(record["states"])
 
     @property
     def covariance(self) -> Array:
-        """Covariance, shape (p, p)."""
+        """Covariance of the initial state, shape (p, p)."""
         return square(self._record["covariance"]["estimate"], len(self.states))
 
     @property
     def covariance_std_error(self) -> MaskedArray:
-        """Standard errors of the covariance, shape (p, p)."""
+        """Standard error of each element of the covariance, shape (p, p)."""
         return masked_array(self._record["covariance"]["std_error"]).reshape(len(self.states), len(self.states))
 
     @property
     def std_dev(self) -> Array:
-        """Standard deviations, shape (p,)."""
+        """Standard deviations of the initial state, shape (p,): roots of the diagonal of :attr:`covariance`."""
         return array(self._record["std_dev"]["estimate"])
 
     @property
@@ -45,22 +41,22 @@ class _Spread:
 
     @property
     def covariance_interval95(self) -> MaskedArray:
-        """95 % intervals of the covariance, shape (p, p, 2); ends that are not known are masked."""
+        """95 % intervals of the covariance, shape (p, p, 2): lower and upper end."""
         return ends(self._record["covariance"], (len(self.states), len(self.states)))
 
     @property
     def std_dev_interval95(self) -> MaskedArray:
-        """95 % intervals of the standard deviations, shape (p, 2); ends that are not known are masked."""
+        """95 % intervals of the standard deviations, shape (p, 2): lower and upper end."""
         return ends(self._record["std_dev"], (len(self.states),))
 
     @property
     def correlation_interval95(self) -> MaskedArray:
-        """95 % intervals of the correlations, shape (p, p, 2); ends that are not known are masked."""
+        """95 % intervals of the correlations, shape (p, p, 2): lower and upper end."""
         return ends(self._record["correlation"], (len(self.states), len(self.states)))
 
     @property
     def correlation(self) -> MaskedArray:
-        """Correlations, shape (p, p); masked beside a variance of zero."""
+        """Correlations of the initial state, shape (p, p); masked beside a variance of zero."""
         return masked_array(self._record["correlation"]["estimate"]).reshape(len(self.states), len(self.states))
 
     @property
@@ -70,16 +66,21 @@ class _Spread:
 
 
 class Phase(_Spread):
-    """The initial state of one phase, over the population; named ``main`` in a model without phases."""
+    """The estimated mean and covariance of the initial state of one phase, over the population.
+
+    Arrays are in the order of :attr:`states`, in the units of the states. What may be unknown, such as the standard error of a fixed
+    element, comes in masked arrays: an unknown number is masked, and so is whatever is calculated from it. :meth:`why_unknown`
+    says why; ``filled()`` makes it NaN.
+    """
 
     def __init__(self, record: dict[str, Any]) -> None:
         super().__init__(record)
-        #: Units of the states; None where the model has none.
+        #: Unit label of each state; ``None`` where the model has none.
         self.units: list[str | None] = list(record.get("units") or [None] * len(self.states))
 
     @property
     def mean(self) -> Array:
-        """Mean, shape (p,)."""
+        """Mean of the initial state, shape (p,)."""
         return array(self._record["mean"]["estimate"])
 
     @property
@@ -89,25 +90,27 @@ class Phase(_Spread):
 
     @property
     def mean_interval95(self) -> MaskedArray:
-        """95 % intervals of the mean, shape (p, 2); ends that are not known are masked."""
+        """95 % intervals of the mean, shape (p, 2): lower and upper end."""
         return ends(self._record["mean"], (len(self.states),))
 
     @property
     def mean_df(self) -> MaskedArray:
-        """Degrees of freedom of the mean with few tests, under ``reml``, shape (p,); all masked without."""
+        """Degrees of freedom of the mean, shape (p,); all masked unless the criterion is ``reml``."""
         return masked_array(self._record["mean"].get("df") or [None] * len(self.states))
 
     @property
     def mean_p_value(self) -> MaskedArray:
-        """Two-sided p-values of each mean being zero, with few tests, shape (p,); all masked without."""
+        """Two-sided p-value of the hypothesis that each mean is zero, shape (p,); all masked unless the criterion is ``reml``."""
         return masked_array(self._record["mean"].get("p_value") or [None] * len(self.states))
 
     def why_unknown(
         self, what: Literal["mean", "std_dev", "covariance", "correlation"], state: str, other: str | None = None
     ) -> str | None:
-        """Why a figure has no standard error, in words; None when it has one.
+        """Why a figure has no standard error, in words; ``None`` if it has one.
 
-        ``what`` is the figure, ``state`` its state, and ``other`` the second one of a covariance or a correlation.
+        - ``what``: the figure.
+        - ``state``: its state.
+        - ``other``: the other state of a covariance or a correlation; ``None`` is the same one.
         """
         return _why_unknown(self._record, self.states, what, state, other)
 
@@ -116,19 +119,29 @@ class Phase(_Spread):
 
 
 class Level(_Spread):
-    """What varies from group to group of a level, or, at the last one, from test to test within the groups."""
+    """The estimated covariance from group to group of a level, or, at the last level, from test to test within the groups.
+
+    Arrays are in the order of :attr:`states`, in the units of the states. What may be unknown, such as the standard error of a fixed
+    element, comes in masked arrays: an unknown number is masked, and so is whatever is calculated from it. :meth:`why_unknown`
+    says why; ``filled()`` makes it NaN.
+    """
 
     def __init__(self, record: dict[str, Any]) -> None:
         super().__init__(record)
-        #: Column that names the groups; None for the tests' own level.
+        #: Column that names the groups; ``None`` for the level of the tests.
         self.column: str | None = record.get("column")
-        #: Number of groups; of tests for their own level.
+        #: Number of groups; for the level of the tests, their number.
         self.groups: int = record["groups"]
 
     def why_unknown(
         self, what: Literal["std_dev", "covariance", "correlation"], state: str, other: str | None = None
     ) -> str | None:
-        """Why a figure has no standard error, in words; None when it has one."""
+        """Why a figure has no standard error, in words; ``None`` if it has one.
+
+        - ``what``: the figure.
+        - ``state``: its state.
+        - ``other``: the other state of a covariance or a correlation; ``None`` is the same one.
+        """
         return _why_unknown(self._record, self.states, what, state, other)
 
     def __repr__(self) -> str:

@@ -11,20 +11,23 @@ __all__ = ["How", "Progress", "Step", "how", "telling"]
 
 
 class Step(str):
-    """How far a job is, in words: a text, which also says how much of how much is done, where the end is known.
+    """How far a job is, in words: a text that also says how much of how much is done, where the end is known.
 
-    >>> step = Step("reading", 30, 40)
+    Functions that are given as ``progress`` are called with it.
+
+    >>> import kalfit
+    >>> step = kalfit.Step("reading", 30, 40)
     >>> step, step.done, step.of, step.share
     ('reading', 30, 40, 0.75)
-    >>> Step("pass 4").share is None
+    >>> kalfit.Step("pass 4").share is None
     True
     """
 
     __slots__ = ("done", "of")
 
-    #: Done so far; None where the end is not known.
+    #: How much is done so far; ``None`` where the end is not known.
     done: int | None
-    #: All that is to be done.
+    #: How much is to be done; ``None`` where that is not known.
     of: int | None
 
     def __new__(cls, words: str, done: int | None = None, of: int | None = None) -> Step:
@@ -34,10 +37,11 @@ class Step(str):
 
     @property
     def share(self) -> float | None:
-        """What part is done, from 0 to 1; None where the end is not known."""
+        """The part that is done, from 0 to 1; ``None`` where the end is not known."""
         return None if self.done is None or not self.of else min(self.done / self.of, 1.0)
 
 
+#: Who is told how far a job is: nobody (``False``), a line on standard error (``True``), or a function of a :class:`kalfit.Step`.
 Progress = Union[bool, Callable[[Step], object]]
 #: Number of threads, and what is called with words, what is done and all that is to be done.
 How = tuple[Union[int, None], Union[Callable[[str, Union[int, None], Union[int, None]], object], None]]

@@ -30,20 +30,23 @@ class _Record:
 
     def __init__(self, json_text: str, notes: list[str]) -> None:
         self._json = json_text
-        #: What one should know beside the results.
+        #: What one should know beside the results, in plain words.
         self.notes = notes
 
     def to_json(self) -> str:
-        """All results as JSON."""
+        """All results as JSON, as the command writes them."""
         return self._json
 
     def to_dict(self) -> dict[str, Any]:
-        """All results, as the JSON has them."""
+        """All results as a dictionary, with the keys of the JSON. Each call makes a new one."""
         result: dict[str, Any] = json.loads(self._json)
         return result
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The results in words and tables."""
+        """The results in words and tables.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         raise NotImplementedError
 
     def __str__(self) -> str:
@@ -54,25 +57,28 @@ class _Record:
 
 
 class RatioTest(_Record):
-    """A hypothesis, tested within a model by the ratio of the likelihoods."""
+    """The likelihood-ratio test of a hypothesis within a model. Made by :func:`kalfit.test`; ``print`` shows its summary."""
 
     def __init__(self, json_text: str, notes: list[str]) -> None:
         super().__init__(json_text, notes)
         record = self.to_dict()
-        #: Twice the log-likelihood that the hypothesis costs.
+        #: Likelihood ratio -2 log λ: twice the log-likelihood that the hypothesis costs.
         self.statistic: float = float(record["lr"])
-        #: Number of constraints.
+        #: Number of free quantities that the hypothesis takes away.
         self.degrees_of_freedom: int = record["df"]
-        #: From the large-sample distribution; None where there is none. That of a bootstrap is in :meth:`to_dict`.
+        #: p-value from the large-sample distribution; ``None`` where there is none. That of a bootstrap is in ``to_dict()["bootstrap"]``.
         self.p_value: float | None = record["p_value"]
-        #: The F test of a hypothesis on means, for few tests: a dictionary of ``value``, ``df_num``, ``df_den``, ``scale``,
-        #: ``p_value`` and ``method``; None of any other hypothesis.
+        #: F test of a hypothesis on means alone, for few tests: a dictionary of ``value``, ``df_num``, ``df_den``, ``scale``,
+        #: ``p_value`` and ``method``. ``None`` for any other hypothesis.
         self.f: dict[str, Any] | None = record.get("f")
-        #: Whether both fits are certified.
+        #: Whether the fits of model and hypothesis converged.
         self.converged: bool = record["converged"]
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The test in words and tables, as ``kalfit test`` prints it."""
+        """The test in words and tables, as ``kalfit test`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.ratio_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -80,20 +86,23 @@ class RatioTest(_Record):
 
 
 class Applied(_Record):
-    """A fitted model that was applied to tests."""
+    """A fitted model that was applied to tests. Made by :func:`kalfit.apply`; ``print`` shows its summary."""
 
     def __init__(self, json_text: str, notes: list[str], tests: Table | None, states: Table | None) -> None:
         super().__init__(json_text, notes)
         record = self.to_dict()
-        #: Log density of all that was measured.
+        #: Log predictive density of all measurements.
         self.log_density: float = float(record["log_density"])
-        #: What each test says, a row for each phase; None when it went to a file.
+        #: Posterior, distance, log density and innovations of each test, with a row for each phase; ``None`` if they went to a file.
         self.tests = tests
-        #: States at every step, and what they say of each measured value; None when they went to a file or were not asked for.
+        #: Each state at each step, and the prediction of each measured value; ``None`` if they went to a file or were not asked for.
         self.states = states
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """What the model says of all tests, in words and tables, as ``kalfit apply`` prints it."""
+        """What the model says of all tests, in words and tables, as ``kalfit apply`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.applied_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -101,15 +110,18 @@ class Applied(_Record):
 
 
 class Predicted(_Record):
-    """What tests that nobody has made will give."""
+    """Predictions of tests that have not been made. Made by :func:`kalfit.predict`; ``print`` shows its summary."""
 
     def __init__(self, json_text: str, notes: list[str], table: Table | None) -> None:
         super().__init__(json_text, notes)
-        #: States and outputs at every row; None when they went to a file.
+        #: Mean, standard deviations and limits of each state and output at every row; ``None`` if they went to a file.
         self.table = table
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The last row of each of the first tests, in words and tables, as ``kalfit predict`` prints it."""
+        """The last row of each of the first tests, in words and tables, as ``kalfit predict`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.predicted_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -117,22 +129,26 @@ class Predicted(_Record):
 
 
 class Validation(_Record):
-    """Predictions of tests by fits that were made without them."""
+    """The cross-validation of a model: predictions of tests by fits without them. Made by :func:`kalfit.validate`; ``print`` shows
+    its summary."""
 
     def __init__(self, json_text: str, notes: list[str]) -> None:
         super().__init__(json_text, notes)
         record = self.to_dict()
-        #: Sum of the log predictive densities.
+        #: Sum of the log predictive densities of the tests; larger is better.
         self.log_density: float = float(record["log_density"])
-        #: Its standard error, by the scatter over tests.
+        #: Standard error of ``log_density``, from the scatter over tests or groups.
         self.std_error: float | None = record["std_error"]
-        #: By how much the model predicts better than the other one; None when there is none.
+        #: ``log_density`` minus that of the other model; ``None`` if there is none.
         self.difference: float | None = record["against"] and record["against"]["difference"]
-        #: The standard error of that.
+        #: Standard error of ``difference``; ``None`` if there is no other model.
         self.difference_std_error: float | None = record["against"] and record["against"]["std_error"]
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The validation in words and tables, as ``kalfit validate`` prints it."""
+        """The validation in words and tables, as ``kalfit validate`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.validated_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -140,48 +156,55 @@ class Validation(_Record):
 
 
 class Filter(_Record):
-    """The filter that follows from a fit: ``x = F x + B u + w`` with ``w ~ N(0, Q)``, ``z = H x + D u + v`` with ``v ~ N(0, R)``."""
+    """The Kalman filter that follows from a fit. Made by :func:`kalfit.export`; ``print`` shows its summary.
+
+    From step to step ``x = F x + B u + w`` with ``w ~ N(0, Q)``, and at each step ``z = H x + D u + v`` with ``v ~ N(0, R)``. In shapes,
+    n is the number of states, m of measurements and k of inputs.
+    """
 
     def __init__(self, json_text: str, notes: list[str]) -> None:
         record: dict[str, Any] = json.loads(json_text)
         super().__init__(json_text, notes + record["notes"])
-        #: Length of a step; None where nothing depends on it and none was given.
+        #: Length of a step in the model's unit of time; ``None`` if none was given.
         self.step: float | None = record["step"]
-        #: Names of the states, hidden ones too.
+        #: Names of the n states x, also of those that are not estimated.
         self.states: list[str] = record["states"]
-        #: Their unit labels.
+        #: Unit label of each state; ``None`` where the model has none.
         self.units: list[str | None] = record["units"]
-        #: Names of the measurements.
+        #: Names of the m measurements z.
         self.measurements: list[str] = record["measurements"]
-        #: The column that each is read from.
+        #: Column that each measurement is read from.
         self.columns: list[str] = record["columns"]
-        #: What u is made of: expressions in columns, ``"1"`` for what is constant.
+        #: The k inputs u: expressions in columns, ``"1"`` for what is constant.
         self.inputs: list[str] = record["inputs"]
         n, m, k = len(self.states), len(self.measurements), len(self.inputs)
 
         def matrix(name: str, rows: int, columns: int) -> NDArray[np.float64]:
             return np.array(record[name], dtype=np.float64).reshape(rows, columns)
 
-        #: Transition of a step, (n, n).
-        self.F = matrix("F", n, n)
-        #: Covariance of the process noise of a step, (n, n).
-        self.Q = matrix("Q", n, n)
-        #: What the inputs do in a step, (n, k).
-        self.B = matrix("B", n, k)
-        #: What is measured, (m, n).
-        self.H = matrix("H", m, n)
-        #: What the inputs add to it, (m, k).
-        self.D = matrix("D", m, k)
-        #: Covariance of the measurement noise, (m, m).
-        self.R = matrix("R", m, m)
+        #: Transition of a step, shape (n, n).
+        self.F: NDArray[np.float64] = matrix("F", n, n)
+        #: Covariance of the process noise w of a step, shape (n, n).
+        self.Q: NDArray[np.float64] = matrix("Q", n, n)
+        #: Effect of the inputs on the states in a step, shape (n, k).
+        self.B: NDArray[np.float64] = matrix("B", n, k)
+        #: Effect of the states on the measurements, shape (m, n).
+        self.H: NDArray[np.float64] = matrix("H", m, n)
+        #: Effect of the inputs on the measurements, shape (m, k).
+        self.D: NDArray[np.float64] = matrix("D", m, k)
+        #: Covariance of the measurement noise v, shape (m, m).
+        self.R: NDArray[np.float64] = matrix("R", m, m)
         started = record["x0"] is not None
-        #: Mean of the initial state of a new test, (n,); None of a phase that inherits from the phase before.
+        #: Mean of the initial state of a new test, shape (n,); ``None`` for a phase that inherits from the phase before.
         self.x0: NDArray[np.float64] | None = np.array(record["x0"], dtype=np.float64) if started else None
-        #: Its covariance, (n, n).
+        #: Covariance of that initial state, shape (n, n); ``None`` where ``x0`` is.
         self.P0: NDArray[np.float64] | None = matrix("P0", n, n) if started else None
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The filter in words and tables, as ``kalfit export`` prints it."""
+        """The filter in words and tables, as ``kalfit export`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.exported_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -189,18 +212,22 @@ class Filter(_Record):
 
 
 class Datasheet(_Record):
-    """The numbers of a datasheet that follow from a fit."""
+    """The numbers of a datasheet that follow from a fit. Made by :func:`kalfit.datasheet`; ``print`` shows its summary."""
 
     def __init__(self, json_text: str, notes: list[str]) -> None:
         record: dict[str, Any] = json.loads(json_text)
         super().__init__(json_text, notes + record["notes"])
         #: A dictionary for each number: ``name``, ``of``, ``value``, ``unit``, ``interval95``, ``definition`` and more.
         self.entries: list[dict[str, Any]] = record["entries"]
-        #: A dictionary for each measurement: ``unit``, ``step`` and ``points``, each with ``time``, ``model``, ``data``, ``interval95``.
+        #: Allan deviations, a dictionary for each measurement: ``measurement``, ``unit``, ``step``, ``points`` and more. Each point has
+        #: ``time``, ``model``, ``data``, ``interval95`` and more.
         self.allan: list[dict[str, Any]] = record["allan"]
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The numbers in words and tables, as ``kalfit datasheet`` prints them."""
+        """The numbers in words and tables, as ``kalfit datasheet`` prints them.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.datasheet_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -208,23 +235,26 @@ class Datasheet(_Record):
 
 
 class Comparison(_Record):
-    """Fits of the same data side by side."""
+    """A comparison of fits of the same data. Made by :func:`kalfit.compare`; ``print`` shows its summary."""
 
     def __init__(self, json_text: str) -> None:
         record: dict[str, Any] = json.loads(json_text)
         super().__init__(json_text, record["notes"])
-        #: Whether the log-likelihoods are of the same thing.
+        #: Whether the log-likelihoods are of the same thing, so that their differences mean something.
         self.comparable: bool = record["comparable"]
         #: A dictionary for each fit: ``log_likelihood``, ``free_parameters``, ``aic``, ``delta_aic``, ``akaike_weight`` and more.
         self.fits: list[dict[str, Any]] = record["fits"]
-        #: A dictionary for each fit that lies within another: ``null`` and ``alternative`` are places in ``fits``, and ``lr``, ``df``,
-        #: ``p_value``, ``p_value_kind``.
+        #: A dictionary for each fit that is nested in another, with the likelihood-ratio test: ``null`` and ``alternative``
+        #: (places in ``fits``), ``lr``, ``df``, ``p_value`` and ``p_value_kind``.
         self.nested: list[dict[str, Any]] = record["nested"]
-        #: What is free or fixed otherwise from fit to fit.
+        #: A dictionary for each element or parameter that is not free, or not fixed at one value, in all fits.
         self.differences: list[dict[str, Any]] = record["differences"]
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The comparison in words and tables, as ``kalfit compare`` prints it."""
+        """The comparison in words and tables, as ``kalfit compare`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.compared_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -232,10 +262,14 @@ class Comparison(_Record):
 
 
 class Plan(_Record):
-    """Expected standard errors against the number of tests."""
+    """Expected standard errors for different numbers of tests. Made by :func:`kalfit.plan`; ``print`` shows its summary, and
+    :meth:`to_dict` has the numbers."""
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """The plan in words and tables, as ``kalfit plan`` prints it."""
+        """The plan in words and tables, as ``kalfit plan`` prints it.
+
+        ``width`` is the number of characters of a line, and ``color=True`` adds the colours of a terminal.
+        """
         return _kalfit.plan_summary(self._json, width, color)
 
     def __repr__(self) -> str:
@@ -243,14 +277,15 @@ class Plan(_Record):
 
 
 class Check(_Record):
-    """A model and its data, looked at without a fit."""
+    """What was found of a model and its data without a fit. Made by :func:`kalfit.check`; ``print`` shows its summary."""
 
     def __init__(self, json_text: str, notes: list[str], words: str) -> None:
         super().__init__(json_text, notes)
         self._words = words
 
     def summary(self, width: int = 80, color: bool = False) -> str:
-        """What was found, in words and tables of 80 characters, as ``kalfit check`` prints it."""
+        """What was found, in words and tables, as ``kalfit check`` prints it. Lines have 80 characters, without colours, whatever
+        ``width`` and ``color`` say."""
         return self._words
 
     def __repr__(self) -> str:
@@ -258,20 +293,22 @@ class Check(_Record):
 
 
 class Simulation:
-    """An ensemble that was drawn."""
+    """An ensemble of tests that was drawn. Made by :func:`kalfit.simulate`."""
 
     def __init__(
         self, data: Table | None, states: Table | None, counts: tuple[int, int], column: str | None, notes: list[str]
     ) -> None:
-        #: The data; None when they went to a file.
+        #: The data, as the model reads them; ``None`` if they went to a file.
         self.data = data
-        #: The true initial state of each test; None when the data went to a file.
+        #: The true initial states, with a row for each test and a column for each state; ``None`` if the data went to a file.
         self.states = states
-        #: Number of tests, and of rows.
-        self.tests, self.rows = counts
-        #: The column that was added to tell tests apart, where the model names none.
+        #: Number of tests.
+        self.tests: int = counts[0]
+        #: Number of rows.
+        self.rows: int = counts[1]
+        #: The column that was added to name the tests, where the model has none; else ``None``.
         self.added_column = column
-        #: What one should know.
+        #: What one should know beside the results, in plain words.
         self.notes = notes
 
     def __repr__(self) -> str:

@@ -12,20 +12,26 @@ __all__ = ["GroupFit", "TestFit", "group_fit_of", "test_fit_of"]
 
 @dataclass(frozen=True)
 class GroupFit:
-    """What is known of one group of tests: the law of the mean of its members, given all data and the fit."""
+    """What a fit says of one group of tests, such as a unit: the posterior of the mean of its members, given all data."""
 
+    #: Name of its level.
     level: str
-    #: Its name after those of the groups that it stands in, the outermost first.
+    #: Name of the group, after those of the groups that contain it, the outermost first.
     id: tuple[str, ...]
+    #: Number of its tests.
     tests: int
+    #: Log-likelihood of all measurements of its tests, by themselves.
     log_likelihood: float
-    #: Shape (p,).
+    #: Posterior mean, shape (p,).
     mean: Array
-    #: Shape (p, p).
+    #: Posterior covariance of that mean, shape (p, p).
     covariance: Array
-    #: How far the group lies from the population: chi-square under the model.
+    #: Squared distance of the group from the population, in standard deviations: chi-squared under the model. ``None`` where it
+    #: is not known.
     distance: float | None
+    #: Degrees of freedom of the distance.
     degrees_of_freedom: int
+    #: Probability of a larger distance under the model; ``None`` where it is not known.
     p_value: float | None
 
 
@@ -47,22 +53,28 @@ def group_fit_of(record: dict[str, Any]) -> GroupFit:
 
 @dataclass(frozen=True)
 class TestFit:
-    """What one test says: the law of its own initial state, given its data and the fit."""
+    """What a fit says of one test: the posterior of its own initial state, given the data, and how well it agrees with the others."""
 
     __test__ = False  # it is no test of pytest's
 
+    #: Name of the test.
     id: str
+    #: Log-likelihood of its measurements; with levels, without the other tests of its group.
     log_likelihood: float
+    #: Number of measured values.
     observations: int
-    #: How far the test lies from the population: chi-square under the model.
+    #: Squared distance of the test from the population, in standard deviations: chi-squared under the model. ``None`` where it is
+    #: not known.
     distance: float | None
+    #: Degrees of freedom of the distance.
     degrees_of_freedom: int | None
+    #: Probability of a larger distance under the model; ``None`` where it is not known.
     p_value: float | None
-    #: Mean by phase, each of shape (p,).
+    #: Posterior mean of the initial state by phase, each of shape (p,): ``test.means["main"]``.
     means: dict[str, Array]
-    #: Covariance by phase, each of shape (p, p).
+    #: Posterior covariance of the initial state by phase, each of shape (p, p).
     covariances: dict[str, Array]
-    #: Its text in the column of ``[data] group``.
+    #: Its text in the column of ``[data] group``; ``None`` where the model names none.
     group: str | None = None
     #: Names of its groups where the model has levels, the outermost first.
     groups: tuple[str, ...] = ()

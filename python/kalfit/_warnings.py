@@ -9,7 +9,7 @@ __all__ = ["ConvergenceWarning", "FormulaWarning", "warn"]
 
 
 class ConvergenceWarning(UserWarning):
-    """A fit did not converge: its estimates are the best that were found, and no certified maximum."""
+    """A fit did not converge: its estimates are the best that were found, but no certified maximum."""
 
 
 class FormulaWarning(UserWarning):

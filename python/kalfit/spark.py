@@ -1,8 +1,8 @@
 """Ensembles too large for one machine: rows stay on a Spark cluster, and a fit asks for sums over them, free parameters included.
 
-    fit = kalfit.spark.fit(model, frame)               # a Spark DataFrame of rows, or of reductions
-    reductions = kalfit.spark.reduce(model, frame)     # a Spark DataFrame, a row for each test and phase
-    tests = kalfit.spark.apply(model, frame, fit)      # a Spark DataFrame, a row for each test and phase
+    fit = kalfit.spark.fit(model, frame)              # a Spark DataFrame of rows, or of reductions
+    reductions = kalfit.spark.reduce(model, frame)    # a Spark DataFrame, a row for each test and phase
+    tests = kalfit.spark.apply(model, frame, fit)     # a Spark DataFrame, a row for each test and phase
 
 Partitions hold whole tests, and of a model with levels whole groups of the outermost level; where they do not, the frame is
 repartitioned by them. All is done by ``DataFrame.mapInArrow`` on whole partitions, so that Spark Connect will do, and whatever a lost
@@ -73,16 +73,23 @@ def fit(
     partitions: int | None = None,
     progress: Progress = False,
 ) -> Fit:
-    """Fits a model to the rows of a Spark DataFrame, or to reductions that :func:`reduce` made, where they are.
+    """Fits a model to the rows of a Spark DataFrame, which stay on the cluster.
 
-    Free parameters are estimated, too, unless they take their values from ``at``, the results of another fit. Spark keeps no order
-    of rows: those of a test are put in the order of the model's time, or of ``order_by``. Partitions that hold whole tests stay as
-    they are; others are repartitioned by test, and a line to standard error says so. Of a model with levels, partitions must hold whole
-    groups of the outermost level in the same way. ``partitions`` repartitions into so many
-    beforehand.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``frame``: a Spark DataFrame of rows, or of the reductions that :func:`kalfit.spark.reduce` made.
+    - ``at``: a fit or its file, from which free parameters take their values; ``None`` estimates them too.
+    - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
+    - ``order_by``: columns by which the rows of a test are put in order, as Spark keeps none; ``None`` is the model's time.
+    - ``criterion``: what is maximised: the likelihood (``"ml"``) or the restricted likelihood (``"reml"``).
+    - ``partitions``: the frame is first repartitioned into so many; ``None`` leaves it as it is.
+    - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` for each round.
 
-    Says nothing of single tests: :func:`apply` does. The answer is that of :func:`kalfit.fit` to rounding, and to the bit where the
-    partitions are the same.
+    Partitions must hold whole tests, and of a model with levels whole groups of the outermost level; else the frame is
+    repartitioned by these, and a line to standard error says so.
+
+    Returns a :class:`kalfit.Fit` without results of single tests: :func:`kalfit.spark.apply` has them. It agrees with that of
+    :func:`kalfit.fit` up to rounding, and two fits of the same partitions agree to the bit. Raises ``ValueError`` if the model names
+    no column of tests, or no time and ``order_by`` is ``None``, and what :func:`kalfit.fit` raises.
     """
     known = as_model(model)
     values = [*([] if at is None else _values(known, at)), *assignments(set)]
@@ -127,9 +134,15 @@ def reduce(
     order_by: str | Sequence[str] | None = None,
     partitions: int | None = None,
 ) -> Any:
-    """Runs the filters over a Spark DataFrame of rows, partition by partition, and gives a DataFrame of reductions.
+    """Runs the filters over a Spark DataFrame of rows at known parameters, partition by partition.
 
-    Free parameters take their values from ``at`` or ``set``, as in :func:`kalfit.reduce`. Rows are put in order as in :func:`fit`.
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``frame``: a Spark DataFrame of rows.
+    - ``at``: a fit or its file, from which free parameters of the model take their values.
+    - ``set``: values at which parameters are fixed, as in :func:`kalfit.spark.fit`.
+    - ``order_by``, ``partitions``: as in :func:`kalfit.spark.fit`.
+
+    Returns a Spark DataFrame of reductions with a row for each test and phase, which :func:`kalfit.spark.fit` takes.
     """
     known = as_model(model)
     document, source = (known._document(), assignments(set)), None if at is None else source_text(at)
@@ -151,8 +164,15 @@ def apply(
     order_by: str | Sequence[str] | None = None,
     partitions: int | None = None,
 ) -> Any:
-    """Applies a fitted model to the tests of a Spark DataFrame of rows: a DataFrame of what each test says, as ``.tests`` of
-    :func:`kalfit.apply`. Nothing is estimated, and nothing is collected.
+    """Applies a fitted model to the tests of a Spark DataFrame of rows. Nothing is estimated, and nothing is collected.
+
+    - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
+    - ``frame``: a Spark DataFrame of rows.
+    - ``source``: where mean, covariance and parameters come from: a fit, its file, or a model with fixed or start values.
+    - ``set``: values at which parameters are fixed, as in :func:`kalfit.spark.fit`.
+    - ``order_by``, ``partitions``: as in :func:`kalfit.spark.fit`.
+
+    Returns a Spark DataFrame with a row for each test and phase, and the columns of ``.tests`` of :class:`kalfit.Applied`.
     """
     from pyspark.sql import functions
     from pyspark.sql.pandas.types import from_arrow_schema
