@@ -38,6 +38,8 @@ const MODEL: &str = "Model";
 const SEARCH: &str = "Search";
 const INFERENCE: &str = "Inference";
 const OUTPUT: &str = "Output";
+const PLAN_OF_DESIGN: &str = "Numbers of tests like those of a design";
+const BEST_PLAN: &str = "The best plan among candidates";
 
 /// Options of every command.
 #[derive(Debug, Group)]
@@ -411,18 +413,61 @@ pub(crate) struct PlanArgs {
     #[command(flatten)]
     pub(crate) model: ModelArgs,
 
-    #[command(flatten)]
-    pub(crate) truth: TruthArgs,
+    /// Where the true population comes from: results of `kalfit fit`, or a model file with fixed or start values. Free parameters
+    /// of MODEL get their values from there too
+    #[arg(long, value_name = "FIT.json|MODEL.toml")]
+    pub(crate) from: PathBuf,
+
+    /// Data that give times, inputs and missing values of a design; the measured values in them are not used
+    #[arg(long, num_args = 1.., value_name = "DATA", required_unless_present = "candidates", requires = "tests",
+          help_heading = PLAN_OF_DESIGN)]
+    pub(crate) design: Vec<String>,
 
     /// Numbers of tests, each like those of the design: `5,10,20,50`
-    #[arg(long, required = true, value_delimiter = ',', value_name = "N,N,...",
-          value_parser = clap::value_parser!(u32).range(1..=1_000_000_000))]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,...", requires = "design",
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000_000), help_heading = PLAN_OF_DESIGN)]
     pub(crate) tests: Vec<u32>,
 
     /// For a model with levels: numbers of groups of a level in each group of the level above, `serial=5,10,20`, once for each level;
     /// `--tests` is then the number of tests in each group of the innermost level
-    #[arg(long, value_name = "LEVEL=N,N,...", value_parser = groups)]
+    #[arg(long, value_name = "LEVEL=N,N,...", value_parser = groups, requires = "design", help_heading = PLAN_OF_DESIGN)]
     pub(crate) groups: Vec<(String, Vec<usize>)>,
+
+    /// Data whose tests are the kinds of tests that could be made; for a model with levels its units of the outermost level.
+    /// The measured values are not used
+    #[arg(long, num_args = 1.., value_name = "DATA", conflicts_with = "design", requires = "budget",
+          help_heading = BEST_PLAN)]
+    pub(crate) candidates: Vec<String>,
+
+    /// Largest cost of all tests together
+    #[arg(long, value_name = "COST", requires = "candidates", value_parser = length, help_heading = BEST_PLAN)]
+    pub(crate) budget: Option<f64>,
+
+    /// Column of the cost of one test, constant in each candidate [default: `cost` where there is one, else 1]
+    #[arg(long, value_name = "COLUMN", requires = "candidates", help_heading = BEST_PLAN)]
+    pub(crate) cost: Option<String>,
+
+    /// Column of the largest number of tests, constant in each candidate [default: `most` where there is one, else no limit]
+    #[arg(long, value_name = "COLUMN", requires = "candidates", help_heading = BEST_PLAN)]
+    pub(crate) most: Option<String>,
+
+    /// What is to become best known: `D` (all that is free), `A` (the means, over their standard deviations), figures such as
+    /// `sd(scale)`, `mean(bias)`, `corr(bias, scale)`, `coefficient(bias, T)` or a parameter's name, or `D(…)` of figures [default: D]
+    #[arg(long = "for", value_name = "FIGURE", requires = "candidates", help_heading = BEST_PLAN)]
+    pub(crate) goal: Option<String>,
+
+    /// What is known already: results of `kalfit fit`, or data of tests that were made
+    #[arg(long, num_args = 1.., value_name = "FIT.json|DATA", requires = "candidates", help_heading = BEST_PLAN)]
+    pub(crate) with: Vec<PathBuf>,
+
+    /// Plan for this many draws of the parameters by the errors of the fit, too: best on average
+    #[arg(long, value_name = "N", requires = "candidates", value_parser = clap::value_parser!(u32).range(1..=1000),
+          help_heading = BEST_PLAN)]
+    pub(crate) draws: Option<u32>,
+
+    /// Seed of the draws [default: 1]
+    #[arg(long, value_name = "S", requires = "draws", help_heading = BEST_PLAN)]
+    pub(crate) seed: Option<u64>,
 
     /// File for the plan, as JSON; `-` writes it to standard output in place of the summary
     #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]

@@ -86,7 +86,8 @@ pub(crate) const PLAN: &str = "\
 Examples:
   kalfit plan model.toml --from fit.json --design data.csv --tests 5,10,20,50
   kalfit plan model.toml --from guess.toml --design planned.csv --tests 20 --out plan.json
-  kalfit plan units.toml --from fit.json --design data.csv --groups serial=5,10,20 --tests 1,2,4";
+  kalfit plan units.toml --from fit.json --design data.csv --groups serial=5,10,20 --tests 1,2,4
+  kalfit plan model.toml --from fit.json --candidates kinds.csv --budget 20 --for \"sd(scale)\" --with fit.json";
 
 pub(crate) const APPLY: &str = "\
 Examples:

@@ -11,8 +11,9 @@ use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::sums::{JoinJob, SumsJob};
 use kalfit_job::{
-    ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, FitJob, FitTables,
-    FoldChoice, ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
+    ApplyJob, BestPlanRequest, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, DesignPlan, ExchangeJob, ExportJob,
+    FitJob, FitTables, FoldChoice, ModelJob, PlanJob, PlanRequest, PlotJob, PredictJob, ReportJob, SimulateJob, SoFar,
+    TestJob, ValidateJob,
 };
 
 use crate::args::{
@@ -275,14 +276,23 @@ impl From<SimulateArgs> for SimulateJob {
 
 impl From<PlanArgs> for PlanJob {
     fn from(args: PlanArgs) -> PlanJob {
-        PlanJob {
-            model: args.model.into(),
-            from: args.truth.from.into(),
-            design: data(args.truth.design),
-            tests: args.tests.into_iter().map(|n| n as usize).collect(),
-            groups: args.groups,
-            out: args.out,
-        }
+        let request = match args.budget {
+            Some(budget) => PlanRequest::Best(BestPlanRequest {
+                candidates: data(args.candidates),
+                budget,
+                cost: args.cost,
+                most: args.most,
+                goal: args.goal.unwrap_or_else(|| "D".to_owned()),
+                so_far: SoFar::of_paths(args.with),
+                draws: args.draws.map(|count| (count as usize, args.seed.unwrap_or(1))),
+            }),
+            None => PlanRequest::Design(DesignPlan {
+                design: data(args.design),
+                tests: args.tests.into_iter().map(|n| n as usize).collect(),
+                groups: args.groups,
+            }),
+        };
+        PlanJob { model: args.model.into(), from: args.from.into(), request, out: args.out }
     }
 }
 

@@ -49,15 +49,8 @@ pub fn at_population(
     structure: &Structure<'_>,
     population: &Population,
 ) -> Result<FinalState, ExpectedError> {
-    let mut without_data = reductions.clone();
-    for number in 0..without_data.len() {
-        let test = without_data.get_mut(number);
-        (*test.constant, *test.residual) = (0.0, None);
-        test.data.fill(0.0);
-        test.chain.into_iter().for_each(Chain::blank);
-    }
     let settings = Settings::default();
-    let problem = super::problem(&without_data, structure, &settings)?;
+    let problem = without_data(reductions, structure, &settings)?;
     let mut point = point(&problem, population)?;
     let sums = problem.likelihood(&point, Order::Expected);
     let local = local(&sums);
@@ -75,6 +68,76 @@ pub fn at_population(
         settings,
         joint: None,
     })
+}
+
+/// The problem of the same tests before anything is measured.
+fn without_data(
+    reductions: &Reductions,
+    structure: &Structure<'_>,
+    settings: &Settings,
+) -> Result<Problem, ExpectedError> {
+    let mut without_data = reductions.clone();
+    for number in 0..without_data.len() {
+        let test = without_data.get_mut(number);
+        (*test.constant, *test.residual) = (0.0, None);
+        test.data.fill(0.0);
+        test.chain.into_iter().for_each(Chain::blank);
+    }
+    Ok(super::problem(&without_data, structure, settings)?)
+}
+
+/// Expected information on (μ, coefficients; elements of Σ) at a population, which must agree with the structure, in the
+/// user's units: block diagonal. An element of Σ moves both triangles.
+///
+/// # Errors
+/// A structure that is not possible, or a population that does not agree with it.
+pub fn information_at_population(
+    reductions: &Reductions,
+    structure: &Structure<'_>,
+    population: &Population,
+) -> Result<DMatrix<f64>, ExpectedError> {
+    let problem = without_data(reductions, structure, &Settings::default())?;
+    let point = point(&problem, population)?;
+    let information = problem.likelihood(&point, Order::Expected).all_expected_information();
+    let to_eta = to_eta(&problem);
+    Ok(to_eta.tr_mul(&information) * to_eta)
+}
+
+/// d(η)/d(μ, coefficients; elements of Σ in the user's units).
+fn to_eta(problem: &Problem) -> DMatrix<f64> {
+    let (units, m) = (user_units(problem), problem.mean_units().len());
+    let mut to_eta =
+        DMatrix::from_diagonal(&DVector::from_iterator(units.len(), units.iter().map(|unit| unit.recip())));
+    let means = problem.mean.centring.centred(&to_eta.view((0, 0), (m, m)).into_owned());
+    to_eta.view_mut((0, 0), (m, m)).copy_from(&means);
+    to_eta
+}
+
+/// For each mean coordinate and each element of Σ, the size of one unit of η in the user's units.
+fn user_units(problem: &Problem) -> Vec<f64> {
+    let scale = &problem.classes.frame.scale;
+    let elements = problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]);
+    problem.mean_units().into_iter().chain(elements).collect()
+}
+
+impl FinalState {
+    /// d(μ in η, coefficients; elements of Σ in η)/d(μ, coefficients; elements of Σ in the user's units).
+    pub fn user_to_eta(&self) -> DMatrix<f64> {
+        to_eta(&self.problem)
+    }
+
+    /// d(μ, coefficients; elements of Σ)/d(coordinates along the tangent basis), in the user's units.
+    pub fn user_jacobian(&self) -> DMatrix<f64> {
+        let (problem, tangent) = (&self.problem, &self.newton_iterate.tangent);
+        let mean = problem.mean.centring.uncentred(&problem.mean.jacobian());
+        let (m, units) = (mean.nrows(), user_units(problem));
+        let mut jacobian = DMatrix::zeros(units.len(), mean.ncols() + tangent.jacobian.ncols());
+        jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
+        let of_sigma = tangent.jacobian.dense();
+        jacobian.view_mut((m, mean.ncols()), of_sigma.shape()).copy_from(&of_sigma);
+        jacobian.row_iter_mut().zip(&units).for_each(|(mut row, unit)| row *= *unit);
+        jacobian * tangent.basis.dense()
+    }
 }
 
 /// Expected derivatives of ℓ at the true (μ, Σ): score zero, information Σ E'WE on μ and ½ Σ tr(W D W E) on Σ, cross

@@ -97,7 +97,7 @@ pub use covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm};
 pub use curvature::NEGLIGIBLE_INFORMATION;
 pub use each_class::map_classes;
 pub use evidence::evidence;
-pub use expected::{ExpectedError, at_population};
+pub use expected::{ExpectedError, at_population, information_at_population};
 pub use forms::map_forms;
 pub use initial_law::law_at;
 pub use joint_law::{FlatDirection, JointLaw, Mixed};

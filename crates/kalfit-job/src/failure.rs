@@ -20,6 +20,7 @@ use kalfit_data::{DataError, DataReading, WriteError, bytes_in_words};
 use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
+use crate::plan::error::BestPlanError;
 use crate::results::ResultError;
 use crate::sums::error::SumsError;
 use crate::truth::error::TruthError;
@@ -206,6 +207,9 @@ pub enum Failure {
         /// Names of the estimated states.
         states: Vec<String>,
     },
+    /// There is no best plan.
+    #[error("{0}")]
+    BestPlan(Box<BestPlanError>),
     /// The table to write.
     #[error("{}", write_message(error, path))]
     Write {
@@ -430,6 +434,7 @@ impl Failure {
             Failure::Export(error) => error.hint(),
             Failure::Compare(error) => Some(error.hint().to_owned()),
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
+            Failure::BestPlan(error) => error.hint(),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
             Failure::Report(error) => report_hint(error).map(str::to_owned),

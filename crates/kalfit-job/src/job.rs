@@ -201,21 +201,77 @@ pub struct SimulateJob {
     pub states: Option<PathBuf>,
 }
 
-/// Expect standard errors.
+/// Expect standard errors, or choose the best plan among candidates.
 #[derive(Debug, Clone)]
 pub struct PlanJob {
     /// The model.
     pub model: ModelJob,
     /// Where the population comes from: results of a fit, or a model.
     pub from: Document,
+    /// What is planned.
+    pub request: PlanRequest,
+    /// File for the plan.
+    pub out: Option<PathBuf>,
+}
+
+/// What is planned.
+#[derive(Debug, Clone)]
+pub enum PlanRequest {
+    /// Numbers of tests like those of a design.
+    Design(DesignPlan),
+    /// The best plan among candidates.
+    Best(BestPlanRequest),
+}
+
+/// Numbers of tests like those of a design.
+#[derive(Debug, Clone)]
+pub struct DesignPlan {
     /// Data that give times, inputs and missingness.
     pub design: Vec<Datum>,
     /// Numbers of tests; of a model with levels of tests in each group of the innermost level.
     pub tests: Vec<usize>,
     /// Of each level of groups its name, and numbers of groups in each group of the level above.
     pub groups: Vec<(String, Vec<usize>)>,
-    /// File for the plan.
-    pub out: Option<PathBuf>,
+}
+
+/// The best plan among candidates.
+#[derive(Debug, Clone)]
+pub struct BestPlanRequest {
+    /// Data whose tests, or units of the outermost level, are the candidates.
+    pub candidates: Vec<Datum>,
+    /// Largest cost of the plan.
+    pub budget: f64,
+    /// Column of the cost of a candidate; `cost` where the data have it, else every candidate costs 1.
+    pub cost: Option<String>,
+    /// Column of the largest number of a candidate; `most` where the data have it, else there is none.
+    pub most: Option<String>,
+    /// What is to be best known: `D`, `A`, or figures.
+    pub goal: String,
+    /// What is known already.
+    pub so_far: Option<SoFar>,
+    /// Draws of the parameters, with their seed.
+    pub draws: Option<(usize, u64)>,
+}
+
+impl SoFar {
+    /// What some files tell: a single file is the results of a fit by its ending `.json`; nothing where there are none.
+    pub fn of_paths(paths: Vec<PathBuf>) -> Option<SoFar> {
+        let is_json = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+        match &paths[..] {
+            [] => None,
+            [path] if is_json(path) => Some(SoFar::Fit(path.clone().into())),
+            _ => Some(SoFar::Tests(paths.iter().map(|path| Datum::Named(path.display().to_string())).collect())),
+        }
+    }
+}
+
+/// What is known before any test of a plan is made.
+#[derive(Debug, Clone)]
+pub enum SoFar {
+    /// What a fit knows.
+    Fit(Document),
+    /// Tests that were made.
+    Tests(Vec<Datum>),
 }
 
 /// Apply a fitted model to tests.

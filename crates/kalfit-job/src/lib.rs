@@ -78,14 +78,16 @@ pub use failure::{Failure, SourcePlace, SourceText, UnknownUnit};
 pub use fit::fit;
 pub use instructions::{INSTRUCTIONS, fix_instructions};
 pub use job::{
-    AppliedModel, ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable,
-    ExportJob, FitJob, FitTables, FoldChoice, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob,
-    PredictedModel, PredictedUnits, ReportJob, SimulateJob, SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
+    AppliedModel, ApplyJob, BestPlanRequest, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, DesignPlan,
+    ExchangeJob, ExchangedTable, ExportJob, FitJob, FitTables, FoldChoice, JobDone, MethodChoice, ModelJob, PlanJob,
+    PlanRequest, PlotJob, PredictJob, PredictedModel, PredictedUnits, ReportJob, SimulateJob, SimulatedEnsemble, SoFar,
+    TableDestination, TestJob, ValidateJob,
 };
 pub use kalfit_spec::schema as model_schema;
 pub use memory::is_there as memory_is_there;
 pub use model::read as read_model;
 pub use output::{FileContents, OutputError, abandon};
+pub use plan::error::BestPlanError;
 pub use plan::plan;
 pub use plot::plot;
 pub use predict::predict;

@@ -8,9 +8,9 @@ use kalfit::estimate::Solver;
 use kalfit::predict::{Limits, Sides};
 use kalfit_job::words;
 use kalfit_job::{
-    AppliedModel, ApplyJob, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable,
-    ExportJob, Failure, FitJob, FoldChoice, JobDone, JobWatch, PlanJob, PredictJob, PredictedModel, SimulateJob,
-    SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
+    AppliedModel, ApplyJob, BestPlanRequest, BootstrapChoice, CheckJob, CompareJob, DatasheetJob, DesignPlan,
+    ExchangeJob, ExchangedTable, ExportJob, Failure, FitJob, FoldChoice, JobDone, JobWatch, PlanJob, PlanRequest,
+    PredictJob, PredictedModel, SimulateJob, SimulatedEnsemble, SoFar, TableDestination, TestJob, ValidateJob,
 };
 use kalfit_report::{TextStyle, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -95,7 +95,38 @@ pub(crate) fn plan(
     how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
     let (tests, groups) = many;
-    let job = PlanJob { model: model.into(), from: from.into(), design: data(design)?, tests, groups, out };
+    let request = PlanRequest::Design(DesignPlan { design: data(design)?, tests, groups });
+    planned(py, PlanJob { model: model.into(), from: from.into(), request, out }, how)
+}
+
+/// Cost of all tests, columns of cost and largest number, what is to be best known, and draws with their seed.
+type PlanLimits = (f64, Option<String>, Option<String>, String, Option<(usize, u64)>);
+/// Results of a fit that are known, data of tests that were made, and the file for the plan.
+type PlanFiles<'py> = (Option<NamedText>, Option<Vec<PyDatum<'py>>>, Option<PathBuf>);
+
+/// (JSON of the best plan among candidates, notes).
+#[pyfunction]
+pub(crate) fn best_plan(
+    py: Python<'_>,
+    model: ModelOptions,
+    from: NamedText,
+    candidates: Vec<PyDatum<'_>>,
+    limits: PlanLimits,
+    files: PlanFiles<'_>,
+    how: RunOptions<'_>,
+) -> PyResult<(String, Vec<String>)> {
+    let (budget, cost, most, goal, draws) = limits;
+    let (fit, made, out) = files;
+    let so_far = match (fit, made) {
+        (Some(fit), _) => Some(SoFar::Fit(fit.into())),
+        (None, Some(made)) => Some(SoFar::Tests(data(made)?)),
+        (None, None) => None,
+    };
+    let best = BestPlanRequest { candidates: data(candidates)?, budget, cost, most, goal, so_far, draws };
+    planned(py, PlanJob { model: model.into(), from: from.into(), request: PlanRequest::Best(best), out }, how)
+}
+
+fn planned(py: Python<'_>, job: PlanJob, how: RunOptions<'_>) -> PyResult<(String, Vec<String>)> {
     let done = whole(run(py, how, move |watch| kalfit_job::plan(&job, watch))?)?;
     Ok((written(&done.record)?, done.notes))
 }

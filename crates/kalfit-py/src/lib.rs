@@ -21,7 +21,7 @@ mod _kalfit {
     use crate::fit::Results;
     #[pymodule_export]
     use crate::jobs::{
-        apply, check, compare, datasheet, exchange, export, fit, plan, predict, simulate, test, validate,
+        apply, best_plan, check, compare, datasheet, exchange, export, fit, plan, predict, simulate, test, validate,
     };
     #[pymodule_export]
     use crate::sums::{PySite, first_theta, join};

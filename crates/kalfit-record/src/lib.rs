@@ -2,6 +2,7 @@
 
 mod along;
 mod applied;
+mod best_plan;
 mod build;
 mod by_group;
 mod constraint;
@@ -44,6 +45,7 @@ pub use kalfit_infer::Interval;
 
 pub use along::{AlongRecord, MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
 pub use applied::{AppliedRecord, AppliedSource, Basis, FarGroupRecord, FarRecord, JointRecord, LawRecord};
+pub use best_plan::{BestPlanRecord, CandidateRecord, DrawsRecord};
 pub use build::Provenance;
 pub use by_group::{GroupRecord, GroupTestRecord, MixedGroup, TestGroups};
 pub use constraint::ConstraintRecord;

@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::DataRecord;
+use crate::best_plan::BestPlanRecord;
 use kalfit_apply::plan::Quantity;
-use kalfit_apply::plan::{Arrangement, Plan, Planned, Reason};
+use kalfit_apply::plan::{Arrangement, Figure, Plan, Planned, PlannedFigure, Reason};
 use kalfit_model::{Model, Phase, PhasedModel};
 
 /// Expected standard errors against the number of tests.
@@ -31,8 +32,11 @@ pub struct PlanRecord {
     /// Arrangement in groups for each number of tests, where the model has levels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub arrangements: Vec<ArrangementRecord>,
-    /// All quantities, in the order of [`Plan::quantities`].
+    /// All quantities, in the order of [`Plan::quantities`]; of the best plan among candidates, then the free parameters.
     pub quantities: Vec<PlannedRecord>,
+    /// The best plan among candidates, where one was sought.
+    #[serde(flatten, default, skip_serializing_if = "Option::is_none")]
+    pub best: Option<BestPlanRecord>,
 }
 
 /// Tests in groups.
@@ -47,7 +51,7 @@ pub struct ArrangementRecord {
 /// One quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlannedRecord {
-    /// `mean`, `regression`, `std_dev`, `correlation` or `covariance`.
+    /// `mean`, `regression`, `std_dev`, `correlation`, `covariance` or `parameter`.
     pub quantity: String,
     /// Name of the phase; `main` when there is only one.
     pub phase: String,
@@ -64,8 +68,44 @@ pub struct PlannedRecord {
     pub value: Option<f64>,
     /// Standard error of the quantity at each number of tests.
     pub std_error: Vec<Option<f64>>,
+    /// Each standard error over the size of the value.
+    #[serde(default)]
+    pub relative_std_error: Vec<Option<f64>>,
     /// Why the standard errors are null: `fixed`, `unidentified` or `boundary`.
     pub reason: Option<String>,
+    /// Name of a free parameter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parameter: Option<String>,
+    /// Standard error before any test of the best plan is made; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub std_error_before: Option<f64>,
+    /// Degrees of freedom of a mean or coefficient after the best plan, where the model has no levels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub df: Option<f64>,
+    /// The candidate of which one more unit of cost after the best plan makes the quantity better known than of any other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub informed_by: Option<String>,
+}
+
+impl PlannedRecord {
+    /// The quantity as `--for` names it: `mean(bias)`, `sd(unit.bias)`, `corr(bias, scale)`, `coefficient(bias, T)`, `tau`.
+    pub fn name(&self, with_phase: bool) -> String {
+        let prefix = match &self.level {
+            Some(level) => format!("{level}."),
+            None if with_phase => format!("{}.", self.phase),
+            None => String::new(),
+        };
+        let states: Vec<String> = self.states.iter().map(|state| format!("{prefix}{state}")).collect();
+        let states = states.join(", ");
+        match (self.quantity.as_str(), &self.column, &self.parameter) {
+            (_, _, Some(parameter)) => parameter.clone(),
+            ("regression", Some(column), _) => format!("coefficient({states}, {column})"),
+            ("std_dev", ..) => format!("sd({states})"),
+            ("correlation", ..) => format!("corr({states})"),
+            ("covariance", ..) => format!("cov({states})"),
+            (kind, ..) => format!("{kind}({states})"),
+        }
+    }
 }
 
 /// Facts about a plan that the core does not know.
@@ -96,6 +136,37 @@ impl PlanRecord {
             tests: plan.tests.clone(),
             arrangements: plan.arrangements.iter().map(|one| ArrangementRecord::new(model, one)).collect(),
             quantities: plan.quantities.iter().map(|planned| record(model, planned, plan.tests.len())).collect(),
+            best: None,
+        }
+    }
+
+    /// The record of the best plan among candidates; `parameters`: names of the free values of α.
+    pub fn of_best(
+        (model, parameters): (&PhasedModel, &[String]),
+        figures: &[PlannedFigure],
+        best: BestPlanRecord,
+        provenance: PlanProvenance,
+    ) -> PlanRecord {
+        let tests = best.candidates.iter().map(|one| one.tests).sum();
+        PlanRecord {
+            schema: "kalfit-plan/1".to_owned(),
+            kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+            title: model.shared().title.clone(),
+            model_digest: provenance.model_digest,
+            from: provenance.from,
+            design: provenance.design,
+            information: "expected".to_owned(),
+            parameters_taken_as_known: provenance.parameters_taken_as_known,
+            tests: vec![tests],
+            arrangements: Vec::new(),
+            quantities: figures
+                .iter()
+                .map(|one| PlannedRecord {
+                    informed_by: one.informed_by.map(|k| best.candidates[k].name.clone()),
+                    ..PlannedRecord::of_figure((model, parameters), one)
+                })
+                .collect(),
+            best: Some(best),
         }
     }
 }
@@ -104,6 +175,45 @@ impl ArrangementRecord {
     fn new(model: &PhasedModel, arrangement: &Arrangement) -> ArrangementRecord {
         let names = model.levels.iter().map(|level| level.name.clone());
         ArrangementRecord { groups: names.zip(arrangement.groups.iter().copied()).collect(), tests: arrangement.tests }
+    }
+}
+
+impl PlannedRecord {
+    /// The record of a figure of the best plan. Panics where it is of another model.
+    pub fn of_figure((model, parameters): (&PhasedModel, &[String]), figure: &PlannedFigure) -> PlannedRecord {
+        let std_error = vec![figure.after];
+        let size = figure.value.map(f64::abs).filter(|size| *size > 0.0);
+        let relative = vec![figure.after.zip(size).map(|(error, size)| error / size)];
+        let named = match figure.figure {
+            Figure::Quantity(quantity) => {
+                record(model, &Planned { quantity, value: figure.value, std_errors: Err(Reason::Unidentified) }, 1)
+            }
+            Figure::Value(slot) => PlannedRecord {
+                quantity: "parameter".to_owned(),
+                phase: model.phases[0].name.clone(),
+                level: None,
+                states: Vec::new(),
+                column: None,
+                unit: None,
+                value: figure.value,
+                std_error: Vec::new(),
+                relative_std_error: Vec::new(),
+                reason: None,
+                parameter: Some(parameters[slot].clone()),
+                std_error_before: None,
+                df: None,
+                informed_by: None,
+            },
+        };
+        let reason = figure.after.is_none().then(|| "unidentified".to_owned());
+        PlannedRecord {
+            std_error,
+            relative_std_error: relative,
+            reason,
+            std_error_before: figure.before,
+            df: figure.df,
+            ..named
+        }
     }
 }
 
@@ -163,6 +273,11 @@ fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord 
         Reason::Unidentified => "unidentified",
         Reason::Boundary => "boundary",
     });
+    let std_error: Vec<Option<f64>> = match &planned.std_errors {
+        Ok(errors) => errors.iter().map(|&error| Some(error).filter(|e| e.is_finite())).collect(),
+        Err(_) => vec![None; many],
+    };
+    let size = planned.value.map(f64::abs).filter(|size| *size > 0.0);
     PlannedRecord {
         quantity: quantity.to_owned(),
         phase: phase.name.clone(),
@@ -171,10 +286,12 @@ fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord 
         column,
         unit,
         value: planned.value,
-        std_error: match &planned.std_errors {
-            Ok(errors) => errors.iter().map(|&error| Some(error).filter(|e| e.is_finite())).collect(),
-            Err(_) => vec![None; many],
-        },
+        relative_std_error: std_error.iter().map(|error| error.zip(size).map(|(error, size)| error / size)).collect(),
+        std_error,
         reason: reason.map(str::to_owned),
+        parameter: None,
+        std_error_before: None,
+        df: None,
+        informed_by: None,
     }
 }

@@ -4,6 +4,7 @@
 //! `kalfit fit` prints. [`check_summary`] does the same for `kalfit check`, from a [`CheckRecord`].
 
 mod applied;
+mod best_plan;
 mod check;
 mod compared;
 mod datasheet;

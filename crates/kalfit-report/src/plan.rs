@@ -3,6 +3,7 @@
 use kalfit::record::{ArrangementRecord, PlanRecord, PlannedRecord};
 
 use crate::TextStyle;
+use crate::best_plan;
 use crate::number::{FigurePrecision, plain};
 use crate::page::PageLayout;
 use crate::summary::headline;
@@ -15,6 +16,9 @@ const MOST_NAMES: usize = 12;
 /// A plan in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn plan_summary(record: &PlanRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
+    if let Some(best) = &record.best {
+        return best_plan::summary(record, best, &page);
+    }
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -96,7 +100,7 @@ fn explained(one: &ArrangementRecord) -> String {
     format!("Column {}: {}, {} in each.", arranged(one), groups.join(", in each of them "), count(one.tests, "test"))
 }
 
-fn two_digits(error: f64) -> String {
+pub(crate) fn two_digits(error: f64) -> String {
     if error > 0.0 { FigurePrecision::of(error, Some(error)).show_error(error) } else { plain(error, 2) }
 }
 

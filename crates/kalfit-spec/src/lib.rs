@@ -118,3 +118,4 @@ pub use schema::schema;
 pub use set::ParameterAssignment;
 pub use show::PhaseWords;
 pub use spec::Spec;
+pub use suggest::nearest;

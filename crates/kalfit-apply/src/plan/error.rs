@@ -1,7 +1,7 @@
 //! Why a plan is not possible.
 
 use kalfit_algebra::elements::Element;
-use kalfit_estimate::FitError;
+use kalfit_estimate::{ExpectedError, FitError};
 use kalfit_model::PopulationError;
 
 /// Why a plan is not possible.
@@ -34,6 +34,15 @@ pub enum PlanError {
         /// Value of the element under the structure.
         expected: f64,
     },
+}
+
+impl From<ExpectedError> for PlanError {
+    fn from(error: ExpectedError) -> PlanError {
+        match error {
+            ExpectedError::Fit(error) => PlanError::Design(error),
+            ExpectedError::Off { element, found, expected } => PlanError::OffStructure { element, found, expected },
+        }
+    }
 }
 
 fn words(element: &Element) -> String {

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::plan::Quantity;
-use crate::plan::{PlanError, off_structure, plan};
+use crate::plan::{PlanError, plan};
 use kalfit_estimate::{FinalState, Structure, at_population};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
@@ -49,28 +49,16 @@ pub fn information_lost(
         Some(StdErrorRatio { quantity: best.quantity, ratio: own_error[0] / best_error[0] })
     };
     let std_errors = best.quantities.iter().zip(&own.quantities).filter_map(ratio).collect();
-    let volume = |reductions: &Reductions| {
-        at_population(reductions, structure, population).map(|state| log_determinant(&state)).map_err(off_structure)
-    };
+    let volume =
+        |reductions: &Reductions| at_population(reductions, structure, population).map(|state| log_determinant(&state));
     let log_determinant = volume(raw)?.zip(volume(suboptimal)?).map(|(best, own)| own - best);
     Ok(InformationLost { std_errors, log_determinant })
 }
 
 /// log |I| on the free directions, with respect to a basis of the directions that is orthonormal in the user's units.
 fn log_determinant(state: &FinalState) -> Option<f64> {
-    let (problem, tangent) = (&state.problem, &state.newton_iterate.tangent);
-    let scale = &problem.classes.frame.scale;
-    let mean = problem.mean.centring.uncentred(&problem.mean.jacobian());
-    let m = mean.nrows();
-    let mut units = problem.mean_units();
-    units.extend(problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]));
-    let mut jacobian = DMatrix::zeros(units.len(), mean.ncols() + tangent.jacobian.ncols());
-    jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
-    let of_sigma = tangent.jacobian.dense();
-    jacobian.view_mut((m, mean.ncols()), of_sigma.shape()).copy_from(&of_sigma);
-    jacobian.row_iter_mut().zip(&units).for_each(|(mut row, unit)| row *= *unit);
-    let directions = jacobian * tangent.basis.dense();
-    Some(log_volume(&tangent.information)? - log_volume(&(directions.transpose() * &directions))?)
+    let directions = state.user_jacobian();
+    Some(log_volume(&state.newton_iterate.tangent.information)? - log_volume(&(directions.transpose() * &directions))?)
 }
 
 /// log |A| of a positive definite matrix; `None` for any other matrix.

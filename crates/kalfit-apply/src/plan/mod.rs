@@ -11,17 +11,21 @@
 //! method. N tests like the n tests of the design have N/n times the design's information, so that all standard errors
 //! fall as 1/√N.
 
+mod best;
 mod error;
 mod levels;
 mod lost;
+pub mod optimal;
+mod range;
 
+pub use best::{BestPlan, CandidateInformation, Figure, Goal, NoPlan, PlannedFigure, best_plan};
 pub use error::PlanError;
 pub use kalfit_infer::Holdable as Quantity;
 pub use levels::{Arrangement, plan_groups};
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
 
 use kalfit_algebra::elements::Elements;
-use kalfit_estimate::{ExpectedError, FinalState, Structure, at_population};
+use kalfit_estimate::{FinalState, Structure, at_population};
 use kalfit_filter::reduce::Reductions;
 use kalfit_infer as infer;
 use kalfit_infer::{Direction, Uncertainty};
@@ -138,7 +142,7 @@ struct Expected {
 
 impl Expected {
     fn of(reductions: &Reductions, structure: &Structure<'_>, population: &Population) -> Result<Expected, PlanError> {
-        let state = at_population(reductions, structure, population).map_err(off_structure)?;
+        let state = at_population(reductions, structure, population)?;
         let unidentified = infer::directions(&state.problem, &state.newton_iterate.point, &state.sums);
         let uncertainty = infer::uncertainty_at(&state, &population.covariance, &unidentified);
         Ok(Expected { state, unidentified, uncertainty })
@@ -147,13 +151,6 @@ impl Expected {
     fn at<'a>(&'a self, population: &'a Population) -> ExpectedAt<'a> {
         let Expected { state, unidentified, uncertainty } = self;
         ExpectedAt { state, population, unidentified, uncertainty }
-    }
-}
-
-fn off_structure(error: ExpectedError) -> PlanError {
-    match error {
-        ExpectedError::Fit(error) => PlanError::Design(error),
-        ExpectedError::Off { element, found, expected } => PlanError::OffStructure { element, found, expected },
     }
 }
 

@@ -85,11 +85,33 @@ pub(super) fn of_elements(
     ),
     progress: &SharedProgress<'_>,
 ) -> Result<Option<[DMatrix<f64>; 2]>, DynamicError> {
+    let chosen: Vec<&[GroupedTest<'_>]> = units.iter().step_by(every).map(Vec::as_slice).collect();
+    let rows = |unit: &[GroupedTest<'_>]| unit.iter().map(|member| rows_of(member.test)).sum::<usize>() as f64;
+    let all_rows = units.iter().map(|unit| rows(unit)).sum::<f64>();
+    let share = all_rows / chosen.iter().map(|unit| rows(unit)).sum::<f64>().max(1.0);
+    let found = of_each_unit(&chosen, k, values, (laws, place, law), progress)?;
+    let sum = |which: usize, shape: (usize, usize)| {
+        let all = found.as_ref().into_iter().flatten();
+        all.fold(DMatrix::zeros(shape.0, shape.1), |sum, unit| sum + &unit[which]) * share
+    };
+    let sums = [sum(0, (k, k)), sum(1, (k, laws.0.len()))];
+    Ok(found.map(|_| sums))
+}
+
+/// The information of each of some units of tests: values × values, and values × elements. Arguments as of [`of_elements`].
+pub(super) fn of_each_unit(
+    units: &[&[GroupedTest<'_>]],
+    k: usize,
+    values: &dyn Fn() -> Result<Option<Vec<EvaluationPair>>, DynamicError>,
+    (laws, place, law): (
+        &ElementLaws,
+        &(dyn Fn(InitialLaw) -> Result<EvaluationPoint, DynamicError> + Sync),
+        &InitialLaw,
+    ),
+    progress: &SharedProgress<'_>,
+) -> Result<Option<Vec<[DMatrix<f64>; 2]>>, DynamicError> {
     let count = laws.0.len();
-    let chosen: Vec<&Vec<GroupedTest<'_>>> = units.iter().step_by(every).collect();
-    let rows = |unit: &Vec<GroupedTest<'_>>| unit.iter().map(|member| rows_of(member.test)).sum::<usize>() as f64;
-    let share = units.iter().map(rows).sum::<f64>() / chosen.iter().map(|unit| rows(unit)).sum::<f64>().max(1.0);
-    let (mut of_values, mut with_elements) = (DMatrix::zeros(k, k), DMatrix::zeros(k, count));
+    let mut found = vec![[DMatrix::zeros(k, k), DMatrix::zeros(k, count)]; units.len()];
     let of_a_pass = k.clamp(1, MOST_ELEMENTS_PER_PASS);
     for (number, chunk) in laws.0.chunks(of_a_pass).enumerate() {
         let Some(mut all) = values()? else { return Ok(None) };
@@ -97,18 +119,17 @@ pub(super) fn of_elements(
             all.push(([place(sides[0].clone())?, place(sides[1].clone())?], *width));
         }
         let directions = Directions { centre: place(law.clone())?, all };
-        let Some(parts) = progress.each(chosen.len(), |at| directions.information(chosen[at], progress)) else {
+        let Some(parts) = progress.each(units.len(), |at| directions.information(units[at], progress)) else {
             return Ok(None);
         };
-        let mut sum = DMatrix::zeros(k + chunk.len(), k + chunk.len());
-        for part in parts {
-            sum += part.map_err(|error| DynamicError::Reduce(Box::new(error)))?;
-        }
-        of_values.copy_from(&(sum.view((0, 0), (k, k)) * share));
         let first = number * of_a_pass;
-        with_elements.columns_mut(first, chunk.len()).copy_from(&(sum.view((0, k), (k, chunk.len())) * share));
+        for (own, part) in found.iter_mut().zip(parts) {
+            let part = part.map_err(|error| DynamicError::Reduce(Box::new(error)))?;
+            own[0].copy_from(&part.view((0, 0), (k, k)));
+            own[1].columns_mut(first, chunk.len()).copy_from(&part.view((0, k), (k, chunk.len())));
+        }
     }
-    Ok((!progress.stops()).then_some([of_values, with_elements]))
+    Ok((!progress.stops()).then_some(found))
 }
 
 /// One of so many units of tests is used, such that the work stays within `most` multiplications.

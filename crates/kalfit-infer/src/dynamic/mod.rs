@@ -15,9 +15,11 @@ mod sandwich;
 mod stepwise;
 #[cfg(test)]
 mod tests;
+mod units;
 
 pub use at_start::examine_with_parameters;
 pub use inference::{accepts_intervals, infer};
 pub use interval::MOST_PROFILED;
 pub use mean_limits::{MeansAt, mean_limits};
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
+pub use units::{UnitError, UnitInformation, unit_information};

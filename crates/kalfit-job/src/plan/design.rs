@@ -1,10 +1,10 @@
-//! `kalfit plan`.
+//! Expected standard errors of one design against the number of tests.
 
 use std::sync::Arc;
 
 use kalfit::estimate::Structure;
 use kalfit::model::PhasedModel;
-use kalfit::plan::{self, Arrangement};
+use kalfit::plan::{Arrangement, plan_groups};
 use kalfit::record::DataRecord;
 use kalfit::record::{PlanProvenance, PlanRecord};
 use kalfit::reduce::{GroupingError, PhasedReducer, groups_of};
@@ -14,21 +14,21 @@ use kalfit_spec::Spec;
 
 use crate::evidence::stdin;
 use crate::failure::Failure;
-use crate::job::{JobDone, PlanJob, files};
+use crate::job::{DesignPlan, JobDone, PlanJob, files};
 use crate::output::OutputFile;
 use crate::refused::{self, SinkRefusal};
+use crate::truth::Truth;
 use crate::work::{JobWatch, JobWork};
-use crate::{memory, truth};
 
 /// Expects standard errors against the number of tests.
-///
-/// # Errors
-/// Bad input, or [`Failure::Interrupted`].
-pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecord>, Failure> {
-    let (spec, truth) = truth::load(&job.model, &job.from)?;
-    memory::suffices(&spec)?;
-    let arrangements = arrangements(&spec.model, job)?;
-    let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
+pub(super) fn expected(
+    job: &PlanJob,
+    plan: &DesignPlan,
+    (spec, truth): (Spec, Truth),
+    watch: &mut dyn JobWatch,
+) -> Result<JobDone<PlanRecord>, Failure> {
+    let arrangements = arrangements(&spec.model, plan)?;
+    let inputs = Input::expand(&plan.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);
     let output = OutputFile::results(job.out.as_deref(), &used)?;
     let mut work = JobWork::new(watch);
@@ -37,8 +37,8 @@ pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecor
     let states = spec.model.estimated_names();
     work.go_on()?;
     let found = match arrangements.is_empty() {
-        true => plan::plan(&reductions, &structure, &truth.population, &job.tests),
-        false => plan::plan_groups(&reductions, &structure, &truth.population, &arrangements),
+        true => kalfit::plan::plan(&reductions, &structure, &truth.population, &plan.tests),
+        false => plan_groups(&reductions, &structure, &truth.population, &arrangements),
     };
     let found = found.map_err(|error| Failure::Plan { error: Box::new(error), states })?;
     let provenance = PlanProvenance {
@@ -53,7 +53,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecor
 }
 
 /// Every number of groups of each level with every number of tests; none for a model without levels.
-fn arrangements(model: &PhasedModel, job: &PlanJob) -> Result<Vec<Arrangement>, Failure> {
+fn arrangements(model: &PhasedModel, job: &DesignPlan) -> Result<Vec<Arrangement>, Failure> {
     let names: Vec<&str> = model.levels.iter().map(|level| level.name.as_str()).collect();
     if let Some((found, _)) = job.groups.iter().find(|(name, _)| !names.contains(&name.as_str())) {
         let expected = names.iter().map(|&name| name.to_owned()).collect();

@@ -1,0 +1,335 @@
+//! The best plan among candidates, with what it will tell: figures, their expected standard errors, and how good the plan is
+//! (theory §15).
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::plan::Quantity;
+use crate::plan::optimal::{Criterion, Kinds, PlanProblem, Relaxed, Scenario, WholePlan, in_whole_numbers, relax};
+use crate::plan::range::Range;
+use kalfit_infer::dynamic::UnitInformation;
+use kalfit_infer::{Estimand, Estimated, Knowledge};
+use kalfit_model::Slots;
+
+/// Part of one test of each candidate that makes the information of a plan regular.
+const LITTLE: f64 = 1e-4;
+
+/// A number that a plan is to make known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Figure {
+    /// A mean, coefficient, standard deviation, correlation or covariance.
+    Quantity(Quantity),
+    /// A free value of α, by slot.
+    Value(usize),
+}
+
+/// What a plan is to make best known.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Goal {
+    /// All free values together: the determinant of their information.
+    All,
+    /// Figures, each with the size that its standard error is compared with: the sum of the squared ratios.
+    Figures(Vec<(Figure, f64)>),
+    /// Figures together: the determinant of their covariance.
+    FiguresTogether(Vec<Figure>),
+}
+
+/// The information of the candidates at one set of parameters.
+#[derive(Debug, Clone)]
+pub struct CandidateInformation {
+    /// Of one test of each candidate.
+    pub candidates: UnitInformation,
+    /// Information that is there before, of tests that were made or of a fit: rows as of the candidates'.
+    so_far: DMatrix<f64>,
+}
+
+/// Why there is no best plan.
+#[derive(Debug, Clone, PartialEq)]
+pub enum NoPlan {
+    /// The model fixes a figure.
+    Fixed(Figure),
+    /// No candidate informs some figures, and nothing was known before.
+    Uninformed(Vec<Figure>),
+    /// The budget is below the cost of the cheapest candidate.
+    Budget {
+        /// The cost of the cheapest.
+        cheapest: f64,
+    },
+    /// No plan in whole numbers within the budget determines what is to be known.
+    TooLittle,
+}
+
+/// A figure with its expected standard errors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlannedFigure {
+    /// The figure.
+    pub figure: Figure,
+    /// Its value.
+    pub value: Option<f64>,
+    /// Its standard error before any test of the plan; `None` where it is not known.
+    pub before: Option<f64>,
+    /// Its standard error after all tests of the plan; `None` where the plan does not determine it.
+    pub after: Option<f64>,
+    /// Degrees of freedom of a mean or coefficient after the plan (14.8), where tests are independent.
+    pub df: Option<f64>,
+    /// The candidate of which one more unit of cost makes it better known than of any other.
+    pub informed_by: Option<usize>,
+}
+
+/// The best plan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BestPlan {
+    /// The best plan in any numbers.
+    pub relaxed: Relaxed,
+    /// The best plan in whole numbers that was found.
+    pub whole: WholePlan,
+    /// ⟨G, F_k⟩ · budget / c_k at the relaxed plan, the function of the equivalence theorem.
+    pub sensitivities: Vec<f64>,
+    /// What is added to log φ for its value in the user's units.
+    pub offset: f64,
+    /// All figures that the model leaves free.
+    pub figures: Vec<PlannedFigure>,
+}
+
+impl BestPlan {
+    /// Least efficiency of the plan in whole numbers against any plan within the budget: φ over the bound of (15.4).
+    pub fn efficiency(&self, scenarios: usize) -> f64 {
+        let bound = if scenarios == 1 { self.relaxed.gap.max(0.0).ln_1p() } else { self.relaxed.gap.max(0.0) };
+        (self.whole.log_phi - self.relaxed.log_phi - bound).exp().min(1.0)
+    }
+}
+
+impl CandidateInformation {
+    /// Candidates of which nothing is known before.
+    pub fn new(candidates: UnitInformation) -> CandidateInformation {
+        let size = candidates.jacobian.nrows();
+        CandidateInformation { candidates, so_far: DMatrix::zeros(size, size) }
+    }
+
+    /// With tests that were made already, about the same values of α.
+    #[must_use]
+    pub fn after_tests(mut self, made: &UnitInformation) -> CandidateInformation {
+        made.units.iter().for_each(|unit| self.so_far += unit);
+        self
+    }
+
+    /// With what a fit knows already; `slots`: the free values of α.
+    #[must_use]
+    pub fn after_fit(mut self, knowledge: &Knowledge, slots: &Slots) -> CandidateInformation {
+        self.so_far += of_estimates(knowledge, slots, &self.candidates);
+        self
+    }
+
+    /// The derivatives of a figure by the free coordinates.
+    pub fn gradient(&self, figure: Figure) -> DVector<f64> {
+        match figure {
+            Figure::Quantity(quantity) => self.candidates.gradient(quantity),
+            Figure::Value(slot) => self.candidates.gradient_of_value(slot),
+        }
+    }
+
+    fn value(&self, figure: Figure) -> Option<f64> {
+        match figure {
+            Figure::Quantity(quantity) => self.candidates.value(quantity),
+            Figure::Value(slot) => Some(self.candidates.value_of(slot)),
+        }
+    }
+
+    /// Information about the free coordinates of so many tests of each candidate and of what is there already.
+    fn of_plan(&self, numbers: &[f64]) -> DMatrix<f64> {
+        let of = |(unit, n): (&DMatrix<f64>, &f64)| unit * *n;
+        let made = self.candidates.units.iter().zip(numbers).filter(|(_, n)| **n > 0.0).map(of);
+        self.free(&made.fold(self.so_far.clone(), |sum, one| sum + one))
+    }
+
+    /// An information in the user's units, about the free coordinates.
+    fn free(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
+        let jacobian = &self.candidates.jacobian;
+        jacobian.tr_mul(information) * jacobian
+    }
+
+    /// Standard error of each figure from an information about the free coordinates; `None` where it is not determined.
+    pub fn std_errors(&self, information: &DMatrix<f64>, figures: &[Figure]) -> Vec<Option<f64>> {
+        let range = Range::of(information);
+        figures.iter().map(|&figure| range.variance(&self.gradient(figure)).map(f64::sqrt)).collect()
+    }
+
+    /// Standard errors that one test of each candidate, with what is there already, would give: sizes to compare figures
+    /// with before there is a plan.
+    pub fn one_of_each(&self, figures: &[Figure]) -> Vec<Option<f64>> {
+        self.std_errors(&self.of_plan(&vec![1.0; self.candidates.units.len()]), figures)
+    }
+
+    /// For each figure, the candidate of which one more unit of cost after a plan lessens its variance most; where the plan
+    /// does not determine it, a little information of all candidates is added.
+    fn informed_by(&self, numbers: &[f64], kinds: &Kinds, figures: &[Figure]) -> Vec<Option<usize>> {
+        let all: Vec<f64> = numbers.iter().map(|n| n + LITTLE).collect();
+        let range = Range::of(&self.of_plan(&all));
+        let inverse = range.inverse();
+        let of = |&figure: &Figure| {
+            let gradient = self.gradient(figure);
+            range.variance(&gradient)?;
+            let weights = &self.candidates.jacobian * (&inverse * gradient);
+            let gain = |k: usize| weights.dot(&(&self.candidates.units[k] * &weights)) / kinds.costs[k];
+            (0..kinds.costs.len()).max_by(|&a, &b| gain(a).total_cmp(&gain(b)).then(b.cmp(&a)))
+        };
+        figures.par_iter().map(of).collect()
+    }
+
+    /// Degrees of freedom of means and coefficients after a plan, ν = 2c²/(g'Vg), where tests are independent: with w the
+    /// weights of the data in the estimate, g_a = Σ n_k w'F_k S_a F_k w (14.8). None where tests are in groups.
+    fn degrees_of_freedom(&self, numbers: &[f64], figures: &[Figure]) -> Vec<Option<f64>> {
+        if self.candidates.members.iter().any(|members| members.len() > 1) {
+            return vec![None; figures.len()];
+        }
+        let (own, first) = (&self.candidates, self.candidates.values());
+        let (means, p) = (own.means(), own.population().mean.len());
+        let range = Range::of(&self.of_plan(numbers));
+        let inverse = range.inverse();
+        let by_coordinates = own.jacobian.rows(first, means);
+        let of_sigma = own.jacobian.rows(first + means, own.jacobian.nrows() - first - means);
+        let of = |figure: &Figure| {
+            let Figure::Quantity(Quantity::Mean(_) | Quantity::Coefficient(_)) = figure else { return None };
+            let gradient = self.gradient(*figure);
+            let c = range.variance(&gradient)?;
+            let weights = by_coordinates * (&inverse * gradient);
+            let mut products = DMatrix::zeros(p, p);
+            for (unit, n) in own.units.iter().zip(numbers).filter(|(_, n)| **n > 0.0) {
+                let along = unit.view((first, first), (p, means)) * &weights;
+                products.ger(*n, &along, &along, 1.0);
+            }
+            let slope = |(i, j): (usize, usize)| if i == j { products[(i, i)] } else { 2.0 * products[(i, j)] };
+            let slopes = DVector::from_iterator(of_sigma.nrows(), own.elements().map(slope));
+            let g = of_sigma.tr_mul(&slopes);
+            let variance = g.dot(&(&inverse * &g));
+            Some(2.0 * c * c / variance).filter(|df| df.is_finite())
+        };
+        figures.iter().map(of).collect()
+    }
+}
+
+/// The information that estimates with a known covariance stand for, in the rows of the candidates': the inverse of their
+/// covariance.
+fn of_estimates(knowledge: &Knowledge, slots: &Slots, candidates: &UnitInformation) -> DMatrix<f64> {
+    let (size, first, p) = (candidates.jacobian.nrows(), candidates.values(), candidates.population().mean.len());
+    let elements: Vec<(usize, usize)> = candidates.elements().collect();
+    // the row of an estimate, and its derivative by the coordinate there
+    let place = |known: &Estimand| match known {
+        Estimand::Population(Estimated::Mean(i)) => Some((first + i, 1.0)),
+        Estimand::Population(Estimated::Coefficient(c)) => Some((first + p + c, 1.0)),
+        Estimand::Population(Estimated::Covariance(i, j)) => {
+            let at = elements.iter().position(|own| own == &(*i.max(j), *i.min(j)))?;
+            Some((first + candidates.means() + at, 1.0))
+        }
+        Estimand::Parameter { parameter, level: None } => {
+            slots.common(*parameter).map(|slot| (slot, candidates.gradient_of_value(slot)[slot]))
+        }
+        Estimand::Population(Estimated::Value(_)) | Estimand::Parameter { .. } => None,
+    };
+    let known: Vec<(usize, (usize, f64))> =
+        knowledge.quantities.iter().enumerate().filter_map(|(at, one)| Some((at, place(one)?))).collect();
+    let covariance = DMatrix::from_fn(known.len(), known.len(), |a, b| {
+        let ((i, (_, by_i)), (j, (_, by_j))) = (known[a], known[b]);
+        knowledge.covariance[(i, j)] / by_i / by_j
+    });
+    let precision = Range::of(&covariance).inverse();
+    let mut information = DMatrix::zeros(size, size);
+    for (a, (_, (row, _))) in known.iter().enumerate() {
+        for (b, (_, (column, _))) in known.iter().enumerate() {
+            information[(*row, *column)] += precision[(a, b)];
+        }
+    }
+    information
+}
+
+/// The best plan of candidates. `scenarios`: the information at the parameters that are planned for, then at others that
+/// they may be; figures are those of the first.
+///
+/// # Errors
+/// Why there is no plan.
+pub fn best_plan(
+    scenarios: &[CandidateInformation],
+    kinds: &Kinds,
+    goal: &Goal,
+    figures: &[Figure],
+) -> Result<BestPlan, NoPlan> {
+    let first = &scenarios[0];
+    let cheapest = kinds.costs.iter().copied().fold(f64::INFINITY, f64::min);
+    if cheapest > kinds.budget * (1.0 + 1e-12) {
+        return Err(NoPlan::Budget { cheapest });
+    }
+    let largest = |k: usize| kinds.most[k].min(kinds.budget / kinds.costs[k]);
+    let range = Range::of(&first.of_plan(&(0..kinds.costs.len()).map(largest).collect::<Vec<_>>()));
+    let wanted: Vec<Figure> = match goal {
+        Goal::All => figures.to_vec(),
+        Goal::Figures(own) => own.iter().map(|(figure, _)| *figure).collect(),
+        Goal::FiguresTogether(own) => own.clone(),
+    };
+    let gradients: Vec<DVector<f64>> = wanted.iter().map(|&figure| first.gradient(figure)).collect();
+    if let Some(fixed) = gradients.iter().position(|gradient| gradient.amax() == 0.0).filter(|_| *goal != Goal::All) {
+        return Err(NoPlan::Fixed(wanted[fixed]));
+    }
+    let is_uninformed = |at: &usize| gradients[*at].amax() > 0.0 && range.variance(&gradients[*at]).is_none();
+    let uninformed: Vec<Figure> = (0..wanted.len()).filter(is_uninformed).map(|at| wanted[at]).collect();
+    if !uninformed.is_empty() {
+        return Err(NoPlan::Uninformed(uninformed));
+    }
+    let scenario = |own: &CandidateInformation| {
+        let map = &own.candidates.jacobian * range.map();
+        let reduced = |information: &DMatrix<f64>| map.tr_mul(information) * &map;
+        Scenario {
+            base: reduced(&own.so_far),
+            kinds: Arc::new(own.candidates.units.par_iter().map(reduced).collect()),
+            criterion: criterion(own, goal, &range),
+        }
+    };
+    let problem = PlanProblem { kinds: kinds.clone(), scenarios: scenarios.iter().map(scenario).collect() }.regular();
+    let relaxed = relax(&problem).ok_or(NoPlan::TooLittle)?;
+    let whole = in_whole_numbers(&problem, &relaxed).ok_or(NoPlan::TooLittle)?;
+    // log |I| in the user's units, whatever the free coordinates are
+    let offset = match goal {
+        Goal::All => {
+            let gram = first.candidates.jacobian.tr_mul(&first.candidates.jacobian);
+            -(Range::of(&gram).log_determinant() + range.log_volume()) / range.dimension() as f64
+        }
+        _ => 0.0,
+    };
+    let before = first.std_errors(&first.free(&first.so_far), figures);
+    let after = first.std_errors(&first.of_plan(&whole.numbers), figures);
+    let df = first.degrees_of_freedom(&whole.numbers, figures);
+    let informed_by = first.informed_by(&whole.numbers, kinds, figures);
+    let planned = |at: usize| PlannedFigure {
+        figure: figures[at],
+        value: first.value(figures[at]),
+        before: before[at],
+        after: after[at],
+        df: df[at],
+        informed_by: informed_by[at],
+    };
+    let sensitivity = |k: usize| relaxed.gains[k] * kinds.budget / kinds.costs[k];
+    Ok(BestPlan {
+        sensitivities: (0..kinds.costs.len()).map(sensitivity).collect(),
+        figures: (0..figures.len()).map(planned).collect(),
+        relaxed,
+        whole,
+        offset,
+    })
+}
+
+/// The criterion at one set of parameters, in the coordinates of the range.
+fn criterion(own: &CandidateInformation, goal: &Goal, range: &Range) -> Criterion {
+    let columns = |figures: &[(Figure, f64)]| {
+        let gradients: Vec<DVector<f64>> =
+            figures.iter().map(|(figure, size)| range.map().tr_mul(&own.gradient(*figure)) / *size).collect();
+        DMatrix::from_columns(&gradients)
+    };
+    match goal {
+        Goal::All => Criterion::Determinant,
+        Goal::Figures(figures) => Criterion::Variances(columns(figures)),
+        Goal::FiguresTogether(figures) => {
+            Criterion::FigureDeterminant(columns(&figures.iter().map(|&figure| (figure, 1.0)).collect::<Vec<_>>()))
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! The best plan among candidates (theory §15).
+
+use std::sync::Arc;
+
+use kalfit::dynamic::{UnitError, UnitInformation, unit_information};
+use kalfit::estimate::{ExpectedError, Structure};
+use kalfit::model::{Level, PhasedModel, Slots, Value};
+use kalfit::plan::{CandidateInformation, Figure, Goal, NoPlan, PlanError, PlannedFigure, Quantity, best_plan};
+use kalfit::record::{BestPlanRecord, DataRecord, DrawsRecord, PlanProvenance, PlanRecord, PlannedRecord};
+use kalfit::reduce::{PhasedReducer, grouping};
+use kalfit::{Alpha, Grouping, PhasedTest, Population, Reductions};
+use kalfit_data::{DataReading, Datum, Input};
+use kalfit_spec::Spec;
+
+use crate::evidence::CommandInputs;
+use crate::failure::Failure;
+use crate::job::{BestPlanRequest, JobDone, PlanJob, SoFar, files};
+use crate::output::OutputFile;
+use crate::plan::candidates::{self, ReadCandidates};
+use crate::plan::error::BestPlanError;
+use crate::plan::goal::Figures;
+use crate::results::{self, FIT};
+use crate::truth::Truth;
+use crate::truth::error::TruthError;
+use crate::work::{JobWatch, JobWork};
+use crate::{dynamic, model};
+
+/// Largest number of numbers in the information of all candidates: some 800 MB.
+const MOST_NUMBERS: usize = 100_000_000;
+
+/// Chooses the best plan.
+pub(super) fn choose(
+    job: &PlanJob,
+    request: &BestPlanRequest,
+    (mut spec, truth): (Spec, Truth),
+    watch: &mut dyn JobWatch,
+) -> Result<JobDone<PlanRecord>, Failure> {
+    let given =
+        CommandInputs::rows_of(Input::expand(&request.candidates).map_err(|error| Failure::data(error, &spec))?);
+    let used = files(&[&job.model.document, &job.from], &given.inputs);
+    let output = OutputFile::results(job.out.as_deref(), &used)?;
+    let mut work = JobWork::new(watch);
+    let read = candidates::read(&spec, request, &given, &mut work)?;
+    let free = freed(&spec, &model::read(&job.model.document)?, &truth);
+    let planned = Planned { free: &free, population: &truth.population, alpha: &truth.alpha };
+    let tests = TestsToPlan::new(&free, &read.tests, &read.reading, &truth.alpha)?;
+    work.say(|| format!("information of {} tests", read.tests.len()));
+    let (slots, known) = planned.slots(&tests, &read.reading)?;
+    let found = planned.information(&tests, (&slots, &values(&slots, &truth.alpha)), &mut work)?;
+    let names = tests.names(&found, &read);
+    let kinds = read.kinds(&names, &found.members, request.budget).map_err(refused_plan)?;
+    refuse_too_many(&found, request)?;
+    let candidates = CandidateInformation::new(found);
+    let scenario = with_so_far(&mut spec, request, (&planned, &slots), candidates, &mut work)?;
+    let figures = figures(&planned, &slots, &scenario.candidates);
+    let goal = figures.goal(&request.goal, &scenario).map_err(refused_plan)?;
+    work.say(|| "choosing the best plan".to_owned());
+    work.go_on()?;
+    let scenarios = vec![scenario];
+    let best = best_plan(&scenarios, &kinds, &goal, &figures.all)
+        .map_err(|error| refused_plan(in_words(error, &figures, (&goal, request))))?;
+    let draws = request.draws.map(|(count, seed)| DrawsRecord { count, seed });
+    let named = request.so_far.as_ref().map(SoFar::name);
+    let record =
+        BestPlanRecord::new((&best, request.goal.trim().to_owned(), scenarios.len()), (&names, &kinds), (named, draws));
+    let mut taken: Vec<String> = known;
+    taken.sort();
+    let provenance = PlanProvenance {
+        model_digest: Some(spec.digest.clone()),
+        from: job.from.name(),
+        design: DataRecord::of(&tests.reductions, given.names()),
+        parameters_taken_as_known: taken,
+    };
+    let parameters = parameter_names(&planned, &slots);
+    let record = PlanRecord::of_best((&spec.model, &parameters), &best.figures, record, provenance);
+    work.go_on()?;
+    JobDone::in_json(record, truth.warnings, output.as_ref())
+}
+
+impl SoFar {
+    /// What the user calls it.
+    fn name(&self) -> String {
+        match self {
+            SoFar::Fit(document) => document.name(),
+            SoFar::Tests(data) => {
+                let name = |datum: &Datum| match datum {
+                    Datum::Named(name) => name.clone(),
+                    Datum::Table(table) => table.name().to_owned(),
+                };
+                data.iter().map(name).collect::<Vec<_>>().join(", ")
+            }
+        }
+    }
+}
+
+fn refused_plan(error: BestPlanError) -> Failure {
+    Failure::BestPlan(Box::new(error))
+}
+
+/// The model with the parameters free that the model file leaves free, but for parameters with a value for each level of a
+/// column: a plan has candidates of few levels.
+fn freed(spec: &Spec, original: &Spec, truth: &Truth) -> PhasedModel {
+    let mut free = spec.model.clone();
+    for model in free.models_mut() {
+        for (own, original) in model.parameters.iter_mut().zip(&original.model.shared().parameters) {
+            if truth.taken.contains(&own.name) && own.per.is_none() {
+                own.value = original.value;
+            }
+        }
+    }
+    free
+}
+
+/// Tests with their reductions and groups.
+struct TestsToPlan<'a> {
+    tests: &'a [PhasedTest],
+    reductions: Reductions,
+    grouping: Option<Arc<Grouping>>,
+}
+
+impl<'a> TestsToPlan<'a> {
+    fn new(
+        model: &PhasedModel,
+        tests: &'a [PhasedTest],
+        reading: &DataReading,
+        alpha: &Alpha,
+    ) -> Result<TestsToPlan<'a>, Failure> {
+        let refused = |error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) };
+        let reducer = PhasedReducer::new(model, alpha).map_err(refused)?;
+        let reductions = reducer.reduce_designs(tests).map_err(refused)?;
+        let grouping = grouping(model, tests).map_err(|error| dynamic::failure(error.into(), reading))?;
+        Ok(TestsToPlan { tests, reductions, grouping: grouping.map(Arc::new) })
+    }
+
+    /// The name of each unit: of its test, or of its group of the outermost level.
+    fn names(&self, found: &UnitInformation, read: &ReadCandidates) -> Vec<String> {
+        let of = |members: &Vec<usize>| {
+            let test = &self.tests[members[0]];
+            let group = self.grouping.as_deref().and_then(|grouping| {
+                let number = grouping.number(test.id.as_str())?;
+                let group = &grouping.groups(0)[grouping.group_of(number, 0)];
+                Some(read.reading.labels.text(*group.path.first()?).to_owned())
+            });
+            group.unwrap_or_else(|| test.id.to_string())
+        };
+        found.members.iter().map(of).collect()
+    }
+}
+
+/// The parameters that are planned for.
+struct Planned<'a> {
+    free: &'a PhasedModel,
+    population: &'a Population,
+    alpha: &'a Alpha,
+}
+
+impl Planned<'_> {
+    /// The free values that a plan takes into account, and the names of free parameters that it takes as known: those with
+    /// values of levels, and those that Σ depends on.
+    fn slots(&self, tests: &TestsToPlan<'_>, reading: &DataReading) -> Result<(Slots, Vec<String>), Failure> {
+        let all = Slots::in_phases(self.free, &reading.labels, tests.tests);
+        let parameters = &self.free.shared().parameters;
+        let mut known = Vec::new();
+        for slot in all.slots() {
+            let mut moved = self.alpha.clone();
+            if let Level::Common(value) = &mut moved.values[slot.parameter] {
+                *value = if *value == 0.0 { 1e-3 } else { *value * 1.001 };
+            }
+            let structure = Structure::of(self.free, &moved, tests.grouping.as_ref());
+            let off = kalfit::estimate::information_at_population(&tests.reductions, &structure, self.population);
+            if matches!(off, Err(ExpectedError::Off { .. })) {
+                known.push(slot.parameter);
+            }
+        }
+        let name = |&parameter: &usize| parameters[parameter].name.clone();
+        let mut names: Vec<String> = known.iter().map(name).collect();
+        let is_free = |parameter: &&kalfit::model::Parameter| matches!(parameter.value, Value::Free { .. });
+        names.extend(parameters.iter().filter(|own| own.per.is_some()).filter(is_free).map(|own| own.name.clone()));
+        Ok((all.without(&known), names))
+    }
+
+    fn information(
+        &self,
+        tests: &TestsToPlan<'_>,
+        slots: (&Slots, &[f64]),
+        work: &mut JobWork<'_>,
+    ) -> Result<UnitInformation, Failure> {
+        let structure = Structure::of(self.free, self.alpha, tests.grouping.as_ref());
+        let of = (&tests.reductions, &structure, self.population);
+        let found = unit_information((self.free, tests.tests), slots, of, work);
+        let refused = |error: UnitError| match error {
+            UnitError::Expected(error) => {
+                Failure::Plan { error: Box::new(PlanError::from(error)), states: self.free.estimated_names() }
+            }
+            UnitError::Dynamic(error) => Failure::Dynamic(Box::new(error)),
+            UnitError::NotByRows => refused_plan(BestPlanError::NotByRows(error.to_string())),
+        };
+        found.map_err(refused)?.ok_or(Failure::Interrupted)
+    }
+}
+
+fn values(slots: &Slots, alpha: &Alpha) -> Vec<f64> {
+    let of = |slot: &kalfit::model::Slot| match &alpha.values[slot.parameter] {
+        Level::Common(value) => *value,
+        Level::Each { other, .. } => other.unwrap_or(f64::NAN),
+    };
+    slots.slots().iter().map(of).collect()
+}
+
+fn parameter_names(planned: &Planned<'_>, slots: &Slots) -> Vec<String> {
+    slots.slots().iter().map(|slot| planned.free.shared().parameters[slot.parameter].name.clone()).collect()
+}
+
+/// All figures that the model leaves free, with their names.
+fn figures(planned: &Planned<'_>, slots: &Slots, found: &UnitInformation) -> Figures {
+    let Population { mean, coefficients, .. } = found.population();
+    let elements: Vec<(usize, usize)> = found.elements().collect();
+    let off_diagonal = || elements.iter().filter(|(i, j)| i != j);
+    let own = planned.free.dimension();
+    let means = (0..mean.len().min(own)).map(Quantity::Mean);
+    let quantities = means
+        .chain((0..coefficients.len()).map(Quantity::Coefficient))
+        .chain(elements.iter().filter(|(i, j)| i == j).map(|&(i, _)| Quantity::StdDev(i)))
+        .chain(off_diagonal().map(|&(i, j)| Quantity::Correlation(i, j)))
+        .chain(elements.iter().map(|&(i, j)| Quantity::Covariance(i, j)));
+    let is_free = |quantity: &Quantity| found.gradient(*quantity).amax() > 0.0;
+    let all: Vec<Figure> =
+        quantities.filter(is_free).map(Figure::Quantity).chain((0..slots.slots().len()).map(Figure::Value)).collect();
+    let parameters = parameter_names(planned, slots);
+    let several = !planned.free.is_single();
+    let name = |&figure: &Figure| {
+        let bare = PlannedFigure { figure, value: None, before: None, after: None, df: None, informed_by: None };
+        PlannedRecord::of_figure((planned.free, &parameters), &bare).name(several)
+    };
+    let names = all.iter().map(name).collect();
+    Figures { all, names }
+}
+
+fn refuse_too_many(found: &UnitInformation, request: &BestPlanRequest) -> Result<(), Failure> {
+    let (candidates, values) = (found.units.len(), found.jacobian.nrows());
+    let sets = 1 + request.draws.map_or(0, |(count, _)| count);
+    let numbers = candidates.saturating_mul(values * values).saturating_mul(sets + 1);
+    if numbers > MOST_NUMBERS {
+        return Err(refused_plan(BestPlanError::TooMany { candidates, values, sets, numbers }));
+    }
+    Ok(())
+}
+
+/// The candidates with what is known before any test of the plan.
+fn with_so_far(
+    spec: &mut Spec,
+    request: &BestPlanRequest,
+    (planned, slots): (&Planned<'_>, &Slots),
+    candidates: CandidateInformation,
+    work: &mut JobWork<'_>,
+) -> Result<CandidateInformation, Failure> {
+    match &request.so_far {
+        None => Ok(candidates),
+        Some(SoFar::Tests(data)) => {
+            let (tests, reading) = candidates::read_made(spec, data, work)?;
+            let made = TestsToPlan::new(planned.free, &tests, &reading, planned.alpha)?;
+            let made = planned.information(&made, (slots, &values(slots, planned.alpha)), work)?;
+            Ok(candidates.after_tests(&made))
+        }
+        Some(SoFar::Fit(document)) => {
+            let record: kalfit::FitRecord = results::read(document, FIT).map_err(TruthError::from)?;
+            let knowledge = record.knowledge(planned.free);
+            let knowledge = knowledge.ok_or_else(|| refused_plan(BestPlanError::NoErrors { path: document.name() }))?;
+            Ok(candidates.after_fit(&knowledge, slots))
+        }
+    }
+}
+
+fn in_words(error: NoPlan, figures: &Figures, (goal, request): (&Goal, &BestPlanRequest)) -> BestPlanError {
+    let budget = request.budget;
+    match error {
+        NoPlan::Fixed(figure) => BestPlanError::Fixed { figure: figures.name(figure) },
+        NoPlan::Uninformed(all) => BestPlanError::Uninformed {
+            figures: all.into_iter().map(|figure| figures.name(figure)).collect(),
+            of_all: *goal == Goal::All,
+        },
+        NoPlan::Budget { cheapest } => BestPlanError::Budget { budget, cheapest },
+        NoPlan::TooLittle => {
+            let what = if *goal == Goal::All { "all that the model leaves free" } else { request.goal.trim() };
+            BestPlanError::TooLittle { budget, what: what.to_owned() }
+        }
+    }
+}

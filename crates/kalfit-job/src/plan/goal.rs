@@ -1,0 +1,108 @@
+//! What `--for` asks for.
+
+use kalfit::plan::Quantity;
+use kalfit::plan::{CandidateInformation, Figure, Goal};
+
+use crate::plan::error::BestPlanError;
+
+/// The figures of a model with their names.
+pub(super) struct Figures {
+    pub(super) all: Vec<Figure>,
+    pub(super) names: Vec<String>,
+}
+
+impl Figures {
+    pub(super) fn name(&self, figure: Figure) -> String {
+        self.all.iter().position(|own| *own == figure).map_or_else(String::new, |at| self.names[at].clone())
+    }
+
+    fn find(&self, text: &str) -> Result<Figure, BestPlanError> {
+        let plain = |text: &str| text.split_whitespace().collect::<String>();
+        let turned = |name: &str| {
+            let (kind, rest) = name.split_once('(')?;
+            let (one, other) = rest.strip_suffix(')')?.split_once(", ")?;
+            matches!(kind, "corr" | "cov").then(|| format!("{kind}({other}, {one})"))
+        };
+        let is_named = |name: &String| {
+            plain(name) == plain(text) || turned(name).is_some_and(|turned| plain(&turned) == plain(text))
+        };
+        let at = self.names.iter().position(is_named);
+        at.map(|at| self.all[at])
+            .ok_or_else(|| BestPlanError::UnknownFigure { found: text.trim().to_owned(), known: self.names.clone() })
+    }
+
+    fn each(&self, text: &str) -> Result<Vec<Figure>, BestPlanError> {
+        parts(text).into_iter().map(|part| self.find(part)).collect()
+    }
+
+    /// The goal that a text names: `D`, `A`, figures, or `D(…)` of figures.
+    pub(super) fn goal(&self, text: &str, candidates: &CandidateInformation) -> Result<Goal, BestPlanError> {
+        let text = text.trim();
+        if text == "D" {
+            return Ok(Goal::All);
+        }
+        if let Some(inner) = text.strip_prefix("D(").and_then(|rest| rest.strip_suffix(')')) {
+            return Ok(Goal::FiguresTogether(self.each(inner)?));
+        }
+        let figures = match text {
+            "A" => {
+                let is_mean = |figure: &Figure| matches!(figure, Figure::Quantity(Quantity::Mean(_)));
+                let means = self.all.iter().copied().filter(is_mean);
+                means.filter(|figure| candidates.gradient(*figure).amax() > 0.0).collect()
+            }
+            _ => self.each(text)?,
+        };
+        Ok(Goal::Figures(sized(&figures, text == "A", candidates)))
+    }
+}
+
+/// Figures with the sizes that their errors are compared with: nothing for a single figure; for `A` the standard deviation
+/// of the state; else the standard error by one test of each candidate.
+fn sized(figures: &[Figure], over_deviations: bool, candidates: &CandidateInformation) -> Vec<(Figure, f64)> {
+    let of_each = candidates.one_of_each(figures);
+    let deviation = |figure: Figure| match figure {
+        Figure::Quantity(Quantity::Mean(i)) if over_deviations => candidates.candidates.value(Quantity::StdDev(i)),
+        _ => None,
+    };
+    let size = |(&figure, error): (&Figure, &Option<f64>)| {
+        let own = if figures.len() == 1 && !over_deviations { Some(1.0) } else { deviation(figure) };
+        (figure, own.filter(|size| *size > 0.0).or(*error).unwrap_or(1.0))
+    };
+    figures.iter().zip(&of_each).map(size).collect()
+}
+
+/// The parts of a text between commas that are in no brackets.
+fn parts(text: &str) -> Vec<&str> {
+    let (mut parts, mut depth, mut start) = (Vec::new(), 0usize, 0);
+    for (at, letter) in text.char_indices() {
+        match letter {
+            '(' => depth += 1,
+            ')' => depth = depth.saturating_sub(1),
+            ',' if depth == 0 => {
+                parts.push(&text[start..at]);
+                start = at + 1;
+            }
+            _ => {}
+        }
+    }
+    parts.push(&text[start..]);
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_found_however_they_are_spelled() {
+        let all =
+            vec![Figure::Quantity(Quantity::Mean(0)), Figure::Quantity(Quantity::Correlation(1, 0)), Figure::Value(0)];
+        let names = ["mean(bias)", "corr(bias, scale)", "tau"].map(str::to_owned).to_vec();
+        let figures = Figures { all: all.clone(), names };
+        let found = figures.each(" corr( scale,bias ), mean(bias),tau").expect("all are there");
+        assert_eq!(found, [all[1], all[0], all[2]]);
+        let unknown = figures.each("mean(bais)").expect_err("there is none");
+        assert_eq!(unknown.hint().as_deref(), Some("did you mean `mean(bias)`?"));
+        assert_eq!(parts("a(b, c), d"), ["a(b, c)", " d"]);
+    }
+}

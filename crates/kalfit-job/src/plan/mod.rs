@@ -1,0 +1,27 @@
+//! `kalfit plan`.
+
+mod candidates;
+mod choose;
+mod design;
+pub(crate) mod error;
+mod goal;
+
+use kalfit::record::PlanRecord;
+
+use crate::failure::Failure;
+use crate::job::{JobDone, PlanJob, PlanRequest};
+use crate::work::JobWatch;
+use crate::{memory, truth};
+
+/// Expects standard errors against the number of tests, or chooses the best plan among candidates.
+///
+/// # Errors
+/// Bad input, or [`Failure::Interrupted`].
+pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecord>, Failure> {
+    let (spec, truth) = truth::load(&job.model, &job.from)?;
+    memory::suffices(&spec)?;
+    match &job.request {
+        PlanRequest::Design(plan) => design::expected(job, plan, (spec, truth), watch),
+        PlanRequest::Best(best) => choose::choose(job, best, (spec, truth), watch),
+    }
+}
