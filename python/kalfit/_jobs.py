@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from kalfit import _kalfit
 from kalfit._data import Data, Table, as_data
 from kalfit._fit import Fit
+from kalfit._fit_record import FitRecord
 from kalfit._given import Set, file_name, model_text, source_text, table_of, text_beside
 from kalfit._model import ModelLike, Path
 from kalfit._progress import How, Progress, how
@@ -113,6 +116,7 @@ def simulate(
     *,
     seed: int,
     tests: int | None = None,
+    plan: Plan | Path | None = None,
     set: Set = None,
     out: Path | None = None,
     truth: Path | None = None,
@@ -127,6 +131,8 @@ def simulate(
     - ``seed``: the same seed draws the same ensemble.
     - ``tests``: number of tests; ``None`` is as many as the design has. The tests of the design are used in turn; from the second
       round on they have ids such as ``A#2``.
+    - ``plan``: a best plan by :func:`kalfit.plan`, or its file: the tests of the design, which are its candidates, are drawn as
+      often as it says.
     - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
     - ``out``: a file for the data, in place of ``.data`` of the result. Its ending is the format: ``.csv``, ``.tsv``,
       ``.parquet`` or ``.arrow``.
@@ -143,16 +149,27 @@ def simulate(
     """
     if tests is not None and not 1 <= tests <= 1_000_000_000:
         raise ValueError(f"tests is {tests}, expected a number from 1 to 1000000000, or None")
+    if tests is not None and plan is not None:
+        raise ValueError("a plan is given, expected no number of tests")
     with how(threads, progress) as told:
         data, count, rows, states, column, notes = _kalfit.simulate(
             model_text(model, set),
             source_text(source),
             as_data(design, "design"),
-            (tests, seed),
+            (tests, plan_text(plan), seed),
             (file_name(out), file_name(truth)),
             told,
         )
     return Simulation(table_of(data), table_of(states), (count, rows), column, notes)
+
+
+def plan_text(plan: Plan | Path | None) -> tuple[str, str, str | None] | None:
+    """A plan with its name: as itself, or in a file."""
+    if plan is None or isinstance(plan, Plan):
+        return None if plan is None else ("the plan", plan.to_json(), None)
+    path = os.fspath(plan)
+    with open(path, encoding="utf-8") as file:
+        return (path, file.read(), path)
 
 
 def validate(
@@ -327,16 +344,25 @@ def compare(fits: Mapping[str, Fit | Path] | Sequence[Fit | Path], *, out: Path 
 def plan(
     model: ModelLike,
     source: Fit | ModelLike,
-    design: Data,
-    tests: Sequence[int],
+    design: Data | None = None,
+    tests: Sequence[int] | None = None,
     *,
     groups: Mapping[str, Sequence[int]] | None = None,
+    candidates: Data | None = None,
+    budget: float | None = None,
+    cost: str | None = None,
+    most: str | None = None,
+    goal: str = "D",
+    so_far: Fit | Data | None = None,
+    draws: int | None = None,
+    seed: int = 1,
     set: Set = None,
     out: Path | None = None,
     threads: int | None = None,
     progress: Progress = False,
 ) -> Plan:
-    """Computes the standard errors to be expected from different numbers of tests, before any test is run.
+    """Computes the standard errors to be expected before any test is run: of different numbers of tests like those of a design,
+    or of the best plan among candidates within a budget.
 
     - ``model``: a :class:`kalfit.Model`, the path of a model file, or a dictionary of its tables.
     - ``source``: the population that is taken to be the true one: a fit, its file, or a model with fixed or start values.
@@ -345,19 +371,56 @@ def plan(
       each group of the innermost level.
     - ``groups``: for a model with levels, the numbers of groups of each level in each group of the level above:
       ``{"serial": [5, 10, 20]}``.
+    - ``candidates``: in place of ``design`` and ``tests``, data whose tests are the kinds of tests that could be made; for a
+      model with levels, its units of the outermost level.
+    - ``budget``: the largest cost of all tests of the best plan together.
+    - ``cost``: the column of the cost of one test; by default ``cost`` where the data have it, else each test costs 1.
+    - ``most``: the column of the largest number of tests; by default ``most`` where the data have it, else there is no limit.
+    - ``goal``: what is to become best known: ``"D"``, all free values together; ``"A"``, the means over their standard
+      deviations; or figures such as ``"sd(scale)"``, ``"corr(bias, scale)"`` or the name of a parameter.
+    - ``so_far``: what is known already: a fit, its file, or data of tests that were made.
+    - ``draws``: a number of draws of the parameters by the errors of the fit; the plan is the best on average over them.
+    - ``seed``: the seed of the draws.
     - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
     - ``out``: a file for all results, as JSON.
     - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
     - ``progress``: ``True`` writes a line to standard error; a function is called with a :class:`kalfit.Step` now and then.
 
-    Returns a :class:`kalfit.Plan`, and raises what :func:`kalfit.fit` raises.
+    Returns a :class:`kalfit.Plan`, and raises what :func:`kalfit.fit` raises, and ``ValueError`` if neither ``design`` and
+    ``tests`` nor ``candidates`` and ``budget`` are given.
 
     >>> import kalfit
     >>> model, data = "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"
-    >>> plan = kalfit.plan(model, kalfit.fit(model, data), data, tests=[10, 20])
-    >>> plan.to_dict()["tests"]
+    >>> fit = kalfit.fit(model, data)
+    >>> kalfit.plan(model, fit, data, tests=[10, 20]).to_dict()["tests"]
     [10, 20]
+    >>> best = kalfit.plan(model, fit, candidates=data, budget=12, goal="sd(bias)")
+    >>> sum(candidate["tests"] for candidate in best.to_dict()["candidates"])
+    12
     """
+    if candidates is not None:
+        if design is not None or tests is not None or groups is not None:
+            raise ValueError("candidates are given, expected no design, tests or groups")
+        if budget is None or not 0.0 < budget < math.inf:
+            raise ValueError(f"budget is {budget!r}, expected a number above 0")
+        if draws is not None and not 1 <= draws <= 1000:
+            raise ValueError(f"draws is {draws}, expected a number from 1 to 1000")
+        is_fit = isinstance(so_far, FitRecord) or (isinstance(so_far, (str, os.PathLike)) and os.fspath(so_far).lower().endswith(".json"))
+        known = None if so_far is None or not is_fit else source_text(so_far)  # type: ignore[arg-type]
+        made = None if so_far is None or is_fit else as_data(so_far, "so_far")  # type: ignore[arg-type]
+        limits = (float(budget), cost, most, str(goal), None if draws is None else (int(draws), int(seed)))
+        with how(threads, progress) as told:
+            text, notes = _kalfit.best_plan(
+                model_text(model, set),
+                source_text(source),
+                as_data(candidates, "candidates"),
+                limits,
+                (known, made, file_name(out)),
+                told,
+            )
+        return Plan(text, notes)
+    if design is None or tests is None:
+        raise ValueError("expected a design and numbers of tests, or candidates and a budget")
     counts = [int(count) for count in tests]
     if not counts or not all(1 <= count <= 1_000_000_000 for count in counts):
         raise ValueError(f"tests is {list(tests)}, expected numbers from 1 to 1000000000")
@@ -365,7 +428,7 @@ def plan(
     if not all(own and all(1 <= count <= 1_000_000 for count in own) for _, own in in_groups):
         raise ValueError(f"groups is {groups!r}, expected numbers from 1 to 1000000")
     with how(threads, progress) as told:
-        made, notes = _kalfit.plan(
+        made_text, notes = _kalfit.plan(
             model_text(model, set),
             source_text(source),
             as_data(design, "design"),
@@ -373,7 +436,7 @@ def plan(
             file_name(out),
             told,
         )
-    return Plan(made, notes)
+    return Plan(made_text, notes)
 
 
 def reduce(

@@ -104,6 +104,14 @@ def plan(
     out: _Path | None,
     how: _How,
 ) -> tuple[str, list[str]]: ...
+def best_plan(
+    model: _Model,
+    source: _Text,
+    candidates: _Data,
+    limits: tuple[float, str | None, str | None, str, tuple[int, int] | None],
+    files: tuple[_Text | None, _Data | None, _Path | None],
+    how: _How,
+) -> tuple[str, list[str]]: ...
 def validate(
     model: _Model,
     given: _Data,
@@ -124,7 +132,7 @@ def simulate(
     model: _Model,
     source: _Text,
     design: _Data,
-    draw: tuple[int | None, int],
+    draw: tuple[int | None, _Text | None, int],
     files: tuple[_Path | None, _Path | None],
     how: _How,
 ) -> tuple[Table | None, int, int, Table | None, str | None, list[str]]: ...

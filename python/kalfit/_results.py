@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kalfit import _kalfit
 from kalfit._data import Table
+from kalfit._frames import data_frame
 
 __all__ = [
     "Applied",
@@ -262,8 +263,30 @@ class Comparison(_Record):
 
 
 class Plan(_Record):
-    """Expected standard errors for different numbers of tests. Made by :func:`kalfit.plan`; ``print`` shows its summary, and
-    :meth:`to_dict` has the numbers."""
+    """Expected standard errors for different numbers of tests, or of the best plan among candidates. Made by
+    :func:`kalfit.plan`; ``print`` shows its summary, and :meth:`to_dict` has the numbers."""
+
+    def candidates_frame(self) -> Any:
+        """The candidates of a best plan as a pandas data frame: ``name``, ``cost``, ``most``, ``relaxed``, ``tests`` (how many to
+        make) and ``sensitivity``; no rows where no candidates were given."""
+        numbers = ["cost", "most", "relaxed", "tests", "sensitivity"]
+        return data_frame(self.to_dict().get("candidates", []), ["name"], numbers, [])
+
+    def quantities_frame(self) -> Any:
+        """Values and expected standard errors as a pandas data frame: ``quantity``, ``phase``, ``level``, ``states`` (joined by a
+        comma), ``column``, ``parameter``, ``value``, ``std_error_before``, ``df``, and ``std_error`` for each number of tests,
+        named ``std_error[10]``."""
+        record = self.to_dict()
+        columns = [f"std_error[{count}]" for count in record["tests"]]
+        if record.get("arrangements"):
+            shapes = [[*(count for _, count in one["groups"]), one["tests"]] for one in record["arrangements"]]
+            columns = [f"std_error[{' x '.join(map(str, shape))}]" for shape in shapes]
+        rows = [
+            {**row, "states": ", ".join(row["states"]), **dict(zip(columns, row["std_error"], strict=True))}
+            for row in record["quantities"]
+        ]
+        texts = ["quantity", "phase", "level", "states", "column", "parameter"]
+        return data_frame(rows, texts, ["value", "std_error_before", "df", *columns], [])
 
     def summary(self, width: int = 80, color: bool = False) -> str:
         """The plan in words and tables, as ``kalfit plan`` prints it.

@@ -39,6 +39,32 @@ def test_a_check_says_what_the_command_says():
     assert kalfit.check(*SLEEP).to_dict()["parameters"][0]["name"] == "sigma"
 
 
+def test_the_best_plan_is_the_command_s(command, tmp_path):
+    fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
+    saved = str(tmp_path / "fit.json")
+    options = ["--from", saved, "--candidates", BENCH[1], "--budget", "9", "--for", "sd(bias)", "--with", saved]
+    expected = command("plan", BENCH[0], *options)
+    best = kalfit.plan(BENCH[0], tmp_path / "fit.json", candidates=BENCH[1], budget=9, goal="sd(bias)", so_far=saved)
+    assert best.to_dict() == expected
+    own = kalfit.plan(BENCH[0], fit, candidates=BENCH[1], budget=9, goal="sd(bias)", so_far=fit).to_dict()
+    assert own["candidates"] == expected["candidates"]
+    frame = best.candidates_frame()
+    assert frame["tests"].sum() == 9 and frame["tests"].max() > 0
+    errors = best.quantities_frame().set_index("quantity")
+    assert (errors["std_error[9]"] < errors["std_error_before"]).any()
+    drawn = kalfit.simulate(BENCH[0], fit, BENCH[1], seed=1, plan=best)
+    assert repr(drawn).startswith("<kalfit.Simulation: 9 tests")
+    made = kalfit.plan(BENCH[0], fit, candidates=BENCH[1], budget=9, goal="sd(bias)", so_far=BENCH[1]).to_dict()
+    assert made["information_so_far"] is not None
+    for wrong in ({"budget": 0}, {"budget": 9, "draws": 0}, {"budget": 9, "tests": [5]}):
+        with pytest.raises(ValueError, match="expected"):
+            kalfit.plan(BENCH[0], fit, candidates=BENCH[1], **wrong)
+    with pytest.raises(kalfit.Error, match="no figure of this model"):
+        kalfit.plan(BENCH[0], fit, candidates=BENCH[1], budget=9, goal="sd(bais)")
+    with pytest.raises(ValueError, match="expected a design"):
+        kalfit.plan(BENCH[0], fit)
+
+
 def test_a_plan_is_the_command_s(command, tmp_path):
     fit = kalfit.fit(*BENCH, out=tmp_path / "fit.json")
     expected = command("plan", BENCH[0], "--from", str(tmp_path / "fit.json"), "--design", BENCH[1], "--tests", "5,50")

@@ -394,6 +394,10 @@ pub(crate) struct SimulateArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     pub(crate) tests: Option<u64>,
 
+    /// A best plan by `kalfit plan --candidates … --out`: the tests of the design, which are its candidates, are drawn as often as it says
+    #[arg(long, value_name = "PLAN.json", conflicts_with = "tests")]
+    pub(crate) plan: Option<PathBuf>,
+
     /// Seed: the same seed draws the same ensemble
     #[arg(long, value_name = "S")]
     pub(crate) seed: u64,
@@ -435,7 +439,7 @@ pub(crate) struct PlanArgs {
 
     /// Data whose tests are the kinds of tests that could be made; for a model with levels its units of the outermost level.
     /// The measured values are not used
-    #[arg(long, num_args = 1.., value_name = "DATA", conflicts_with = "design", requires = "budget",
+    #[arg(long, num_args = 1.., value_name = "DATA", conflicts_with_all = ["design", "tests", "groups"], requires = "budget",
           help_heading = BEST_PLAN)]
     pub(crate) candidates: Vec<String>,
 

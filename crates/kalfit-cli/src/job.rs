@@ -267,6 +267,7 @@ impl From<SimulateArgs> for SimulateJob {
             from: args.truth.from.into(),
             design: data(args.truth.design),
             tests: args.tests,
+            plan: args.plan.map(Into::into),
             seed: args.seed,
             out: Some(args.out),
             states: args.states,

@@ -207,6 +207,14 @@ pub enum Failure {
         /// Names of the estimated states.
         states: Vec<String>,
     },
+    /// A plan of which no ensemble can be drawn.
+    #[error("no ensemble can be drawn for the plan `{path}`: {problem}")]
+    PlanToDraw {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// There is no best plan.
     #[error("{0}")]
     BestPlan(Box<BestPlanError>),
@@ -485,6 +493,9 @@ impl Failure {
             }
             Failure::MoreThanDesign { .. } => {
                 "give a design with as many groups and tests as are wanted: new groups need names of their own"
+            }
+            Failure::PlanToDraw { .. } => {
+                "give the plan of `kalfit plan --candidates … --out`, and its candidates as `--design`"
             }
             Failure::NoFreeParameter { .. } => {
                 "leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`"

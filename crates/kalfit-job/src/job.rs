@@ -193,6 +193,8 @@ pub struct SimulateJob {
     pub design: Vec<Datum>,
     /// Number of tests; as many as the design has when none.
     pub tests: Option<u64>,
+    /// A best plan, which says how many tests there are like each test of the design.
+    pub plan: Option<Document>,
     /// The same seed draws the same ensemble.
     pub seed: u64,
     /// File for the data, which are handed back as an Arrow IPC file when none.

@@ -1,22 +1,27 @@
 //! Drawing an ensemble: `kalfit simulate`.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
-use kalfit::Test;
+use kalfit::record::PlanRecord;
 use kalfit::reduce::Evidence;
 use kalfit::simulate::{Designs, Drawn, Simulator};
+use kalfit::{PhasedTest, Test};
 use kalfit_data::{
     CellKind, DataReading, Input, TableCell, TableFormat, TableWriter, TestWriter, WriteError, WrittenIds,
     added_id_column,
 };
 use kalfit_spec::Spec;
 
+use crate::document::Document;
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::job::{JobDone, SimulateJob, SimulatedEnsemble, files};
 use crate::output::{OutputFile, OutputTarget, PendingFile, finish_together};
+use crate::results::{self, PLAN};
+use crate::truth::error::TruthError;
 use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
@@ -43,12 +48,17 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<S
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
     let (tests, reading) = tests::read(&spec, &CommandInputs::rows_of(inputs), &mut work)?;
+    let tests = match &job.plan {
+        Some(plan) => of_plan(&spec, tests, plan)?,
+        None => tests,
+    };
     let designs = Designs::of(&spec.model, tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     if count > designs.tests().len() as u64 && !spec.model.levels.is_empty() {
         return Err(Failure::MoreThanDesign { found: count, expected: designs.tests().len() as u64 });
     }
-    let ids = if count > designs.tests().len() as u64 { WrittenIds::New } else { WrittenIds::Same };
+    let has_new_ids = count > designs.tests().len() as u64 || job.plan.is_some();
+    let ids = if has_new_ids { WrittenIds::New } else { WrittenIds::Same };
     let (simulator, designs, reading) = (&simulator, &designs, &reading);
     let task = SimulationTask { spec: &spec, simulator, designs, reading, count, ids, states_format };
     let WrittenEnsemble { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
@@ -57,6 +67,28 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<S
     let state_names = spec.model.estimated_names();
     let record = SimulatedEnsemble { tests: count, rows, states, added, table, initial, state_names };
     Ok(JobDone::new(record, truth.warnings, output.name().into_iter().collect()))
+}
+
+/// The tests of the design, each as often as a plan has it.
+fn of_plan(spec: &Spec, tests: Vec<PhasedTest>, plan: &Document) -> Result<Vec<PhasedTest>, Failure> {
+    let record: PlanRecord = results::read(plan, PLAN).map_err(TruthError::from)?;
+    let refused = |problem| Failure::PlanToDraw { path: plan.name(), problem };
+    let best = record.best.ok_or_else(|| refused("it has no candidates".to_owned()))?;
+    if !spec.model.levels.is_empty() {
+        return Err(refused("the model has levels, whose groups need names of their own".to_owned()));
+    }
+    let counts: HashMap<&str, usize> = best.candidates.iter().map(|one| (one.name.as_str(), one.tests)).collect();
+    let mut drawn = Vec::new();
+    for test in tests {
+        let count = counts.get(test.id.as_str());
+        let count = *count.ok_or_else(|| refused(format!("it has no candidate `{}`", test.id)))?;
+        let like = |k: usize| PhasedTest { id: format!("{}#{k}", test.id).into(), phases: test.phases.clone() };
+        drawn.extend((1..=count).map(like));
+    }
+    if drawn.is_empty() {
+        return Err(refused("it has no tests".to_owned()));
+    }
+    Ok(drawn)
 }
 
 /// Ids of tests and their true initial states.

@@ -276,13 +276,14 @@ pub(crate) fn simulate(
     model: ModelOptions,
     from: NamedText,
     design: Vec<PyDatum<'_>>,
-    draw: (Option<u64>, u64),
+    draw: (Option<u64>, Option<NamedText>, u64),
     files: (Option<PathBuf>, Option<PathBuf>),
     how: RunOptions<'_>,
 ) -> PyResult<SimulatedTuple> {
     let (model, from, design) = (model.into(), from.into(), data(design)?);
-    let ((tests, seed), (out, states)) = (draw, files);
-    let job = SimulateJob { model, from, design, tests, seed, out, states };
+    let ((tests, plan, seed), (out, states)) = (draw, files);
+    let plan = plan.map(Into::into);
+    let job = SimulateJob { model, from, design, tests, plan, seed, out, states };
     let done = whole(run(py, how, move |watch| kalfit_job::simulate(&job, watch))?)?;
     let SimulatedEnsemble { tests, rows, added, table, initial, state_names, .. } = done.record;
     let states = table.is_some().then(|| PyTable::of_rows(&state_names, &initial)).transpose()?;

@@ -125,7 +125,11 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], page: &PageLayout<'_>) ->
     let several = several_phases(record);
     let error = |error: Option<f64>| error.map_or("-".to_owned(), two_digits);
     let value = |one: &PlannedRecord| {
-        one.value.map_or("-".to_owned(), |value| FigurePrecision::of(value, one.std_error[0]).show(value))
+        let shown = |value: f64| match one.std_error[0] {
+            Some(error) => FigurePrecision::of(value, Some(error)).show(value),
+            None => plain(value, 3),
+        };
+        one.value.map_or("-".to_owned(), shown)
     };
     let after = |one: &PlannedRecord| one.std_error[0].map(|error| error * few_tests(one));
     let column = |name: &str, side, of: &dyn Fn(&PlannedRecord) -> String| {

@@ -43,6 +43,10 @@ pub struct CandidateInformation {
     pub candidates: UnitInformation,
     /// Information that is there before, of tests that were made or of a fit: rows as of the candidates'.
     so_far: DMatrix<f64>,
+    /// Information of each unit of tests that were made.
+    made: Vec<DMatrix<f64>>,
+    /// Number of tests, or units, of a fit that is known.
+    fitted: f64,
 }
 
 /// Why there is no best plan.
@@ -105,13 +109,14 @@ impl CandidateInformation {
     /// Candidates of which nothing is known before.
     pub fn new(candidates: UnitInformation) -> CandidateInformation {
         let size = candidates.jacobian.nrows();
-        CandidateInformation { candidates, so_far: DMatrix::zeros(size, size) }
+        CandidateInformation { candidates, so_far: DMatrix::zeros(size, size), made: Vec::new(), fitted: 0.0 }
     }
 
     /// With tests that were made already, about the same values of α.
     #[must_use]
     pub fn after_tests(mut self, made: &UnitInformation) -> CandidateInformation {
         made.units.iter().for_each(|unit| self.so_far += unit);
+        self.made.extend(made.units.iter().cloned());
         self
     }
 
@@ -119,6 +124,7 @@ impl CandidateInformation {
     #[must_use]
     pub fn after_fit(mut self, knowledge: &Knowledge, slots: &Slots) -> CandidateInformation {
         self.so_far += of_estimates(knowledge, slots, &self.candidates);
+        self.fitted += knowledge.tests;
         self
     }
 
@@ -179,7 +185,8 @@ impl CandidateInformation {
     }
 
     /// Degrees of freedom of means and coefficients after a plan, ν = 2c²/(g'Vg), where tests are independent: with w the
-    /// weights of the data in the estimate, g_a = Σ n_k w'F_k S_a F_k w (14.8). None where tests are in groups.
+    /// weights of the data in the estimate, g_a = Σ n_k w'F_k S_a F_k w (14.8). The tests of a fit, which are not here, count
+    /// as equal to those of the plan: one degree of freedom less than tests. None where tests are in groups.
     fn degrees_of_freedom(&self, numbers: &[f64], figures: &[Figure]) -> Vec<Option<f64>> {
         if self.candidates.members.iter().any(|members| members.len() > 1) {
             return vec![None; figures.len()];
@@ -190,13 +197,18 @@ impl CandidateInformation {
         let inverse = range.inverse();
         let by_coordinates = own.jacobian.rows(first, means);
         let of_sigma = own.jacobian.rows(first + means, own.jacobian.nrows() - first - means);
+        let tests: f64 = numbers.iter().sum::<f64>() + self.made.len() as f64 + self.fitted;
         let of = |figure: &Figure| {
             let Figure::Quantity(Quantity::Mean(_) | Quantity::Coefficient(_)) = figure else { return None };
             let gradient = self.gradient(*figure);
             let c = range.variance(&gradient)?;
+            if self.fitted > 0.0 {
+                return Some(tests - 1.0).filter(|df| *df >= 1.0);
+            }
             let weights = by_coordinates * (&inverse * gradient);
             let mut products = DMatrix::zeros(p, p);
-            for (unit, n) in own.units.iter().zip(numbers).filter(|(_, n)| **n > 0.0) {
+            let made = self.made.iter().map(|unit| (unit, &1.0));
+            for (unit, n) in own.units.iter().zip(numbers).filter(|(_, n)| **n > 0.0).chain(made) {
                 let along = unit.view((first, first), (p, means)) * &weights;
                 products.ger(*n, &along, &along, 1.0);
             }
@@ -204,7 +216,8 @@ impl CandidateInformation {
             let slopes = DVector::from_iterator(of_sigma.nrows(), own.elements().map(slope));
             let g = of_sigma.tr_mul(&slopes);
             let variance = g.dot(&(&inverse * &g));
-            Some(2.0 * c * c / variance).filter(|df| df.is_finite())
+            // V is that of maximum likelihood, which does not allow for the estimated mean
+            Some(2.0 * c * c / variance * (tests - 1.0) / tests).filter(|df| df.is_finite())
         };
         figures.iter().map(of).collect()
     }

@@ -12,6 +12,7 @@
 //! fall as 1/√N.
 
 mod best;
+mod draws;
 mod error;
 mod levels;
 mod lost;
@@ -19,6 +20,7 @@ pub mod optimal;
 mod range;
 
 pub use best::{BestPlan, CandidateInformation, Figure, Goal, NoPlan, PlannedFigure, best_plan};
+pub use draws::{DrawnParameters, drawn};
 pub use error::PlanError;
 pub use kalfit_infer::Holdable as Quantity;
 pub use levels::{Arrangement, plan_groups};

@@ -33,6 +33,7 @@ mod options;
 mod outputs;
 mod phases;
 mod plan;
+mod plan_best;
 mod plot;
 mod predict;
 mod predict_few_tests;

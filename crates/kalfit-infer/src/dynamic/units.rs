@@ -184,6 +184,13 @@ impl UnitInformation {
         self.values[slot]
     }
 
+    /// The free value `slot` of α after an error to first order, within its bounds: a positive value by its logarithm.
+    pub fn value_after(&self, slot: usize, error: f64) -> f64 {
+        let (value, coordinate) = (self.values[slot], &self.coordinates[slot]);
+        let slope = coordinate.slope(value);
+        if slope == 0.0 { value } else { coordinate.moved(value, error / slope) }
+    }
+
     /// Derivatives of an element of (μ, Σ), a coefficient, a standard deviation or a correlation by the coordinates; zero
     /// where the model fixes the quantity, and where it has no derivative because a variance is zero.
     pub fn gradient(&self, quantity: Holdable) -> DVector<f64> {

@@ -4,8 +4,11 @@ use std::sync::Arc;
 
 use kalfit::dynamic::{UnitError, UnitInformation, unit_information};
 use kalfit::estimate::{ExpectedError, Structure};
+use kalfit::infer::Knowledge;
 use kalfit::model::{Level, PhasedModel, Slots, Value};
-use kalfit::plan::{CandidateInformation, Figure, Goal, NoPlan, PlanError, PlannedFigure, Quantity, best_plan};
+use kalfit::plan::{
+    CandidateInformation, DrawnParameters, Figure, Goal, NoPlan, PlanError, PlannedFigure, Quantity, best_plan, drawn,
+};
 use kalfit::record::{BestPlanRecord, DataRecord, DrawsRecord, PlanProvenance, PlanRecord, PlannedRecord};
 use kalfit::reduce::{PhasedReducer, grouping};
 use kalfit::{Alpha, Grouping, PhasedTest, Population, Reductions};
@@ -51,15 +54,24 @@ pub(super) fn choose(
     let kinds = read.kinds(&names, &found.members, request.budget).map_err(refused_plan)?;
     refuse_too_many(&found, request)?;
     let candidates = CandidateInformation::new(found);
-    let scenario = with_so_far(&mut spec, request, (&planned, &slots), candidates, &mut work)?;
+    let (scenario, before) = with_so_far(&mut spec, request, (&planned, &slots), candidates, &mut work)?;
     let figures = figures(&planned, &slots, &scenario.candidates);
     let goal = figures.goal(&request.goal, &scenario).map_err(refused_plan)?;
+    let mut scenarios = vec![scenario];
+    if let Some(draws) = request.draws {
+        let law = truth.knowledge(&spec).filter(|_| truth.record.is_some());
+        let law = law.ok_or_else(|| refused_plan(BestPlanError::NoLaw { from: job.from.name() }))?;
+        for own in drawn(&law, &slots, &scenarios[0].candidates, draws) {
+            work.go_on()?;
+            work.say(|| format!("information at draw {} of {}", scenarios.len(), draws.0));
+            scenarios.extend(planned.at(&own, (&read, &slots), &before, &mut work)?);
+        }
+    }
     work.say(|| "choosing the best plan".to_owned());
     work.go_on()?;
-    let scenarios = vec![scenario];
     let best = best_plan(&scenarios, &kinds, &goal, &figures.all)
         .map_err(|error| refused_plan(in_words(error, &figures, (&goal, request))))?;
-    let draws = request.draws.map(|(count, seed)| DrawsRecord { count, seed });
+    let draws = request.draws.map(|(_, seed)| DrawsRecord { count: scenarios.len() - 1, seed });
     let named = request.so_far.as_ref().map(SoFar::name);
     let record =
         BestPlanRecord::new((&best, request.goal.trim().to_owned(), scenarios.len()), (&names, &kinds), (named, draws));
@@ -74,7 +86,14 @@ pub(super) fn choose(
     let parameters = parameter_names(&planned, &slots);
     let record = PlanRecord::of_best((&spec.model, &parameters), &best.figures, record, provenance);
     work.go_on()?;
-    JobDone::in_json(record, truth.warnings, output.as_ref())
+    let mut notes = truth.warnings;
+    let left_out = request.draws.map_or(0, |(count, _)| count + 1 - scenarios.len());
+    if left_out > 0 {
+        notes.push(format!(
+            "{left_out} draws are left out: the model fixes elements of the covariance that they would move"
+        ));
+    }
+    JobDone::in_json(record, notes, output.as_ref())
 }
 
 impl SoFar {
@@ -179,6 +198,45 @@ impl Planned<'_> {
         Ok((all.without(&known), names))
     }
 
+    /// The candidates with what is known before.
+    fn after(
+        &self,
+        candidates: CandidateInformation,
+        slots: &Slots,
+        before: &Before,
+        work: &mut JobWork<'_>,
+    ) -> Result<CandidateInformation, Failure> {
+        Ok(match before {
+            Before::Nothing => candidates,
+            Before::Tests(tests, reading) => {
+                let made = TestsToPlan::new(self.free, tests, reading, self.alpha)?;
+                candidates.after_tests(&self.information(&made, (slots, &values(slots, self.alpha)), work)?)
+            }
+            Before::Fit(knowledge) => candidates.after_fit(knowledge, slots),
+        })
+    }
+
+    /// The candidates at other parameters; `None` where the model's structure cannot have them.
+    fn at(
+        &self,
+        other: &DrawnParameters,
+        (read, slots): (&ReadCandidates, &Slots),
+        before: &Before,
+        work: &mut JobWork<'_>,
+    ) -> Result<Option<CandidateInformation>, Failure> {
+        let mut alpha = self.alpha.clone();
+        for (slot, value) in slots.slots().iter().zip(&other.values) {
+            alpha.values[slot.parameter] = Level::Common(*value);
+        }
+        let planned = Planned { free: self.free, population: &other.population, alpha: &alpha };
+        let tests = TestsToPlan::new(self.free, &read.tests, &read.reading, &alpha)?;
+        match planned.information(&tests, (slots, &other.values), work) {
+            Ok(found) => Ok(Some(planned.after(CandidateInformation::new(found), slots, before, work)?)),
+            Err(Failure::Plan { error, .. }) if matches!(*error, PlanError::OffStructure { .. }) => Ok(None),
+            Err(failure) => Err(failure),
+        }
+    }
+
     fn information(
         &self,
         tests: &TestsToPlan<'_>,
@@ -246,6 +304,13 @@ fn refuse_too_many(found: &UnitInformation, request: &BestPlanRequest) -> Result
     Ok(())
 }
 
+/// What is known before any test of the plan.
+enum Before {
+    Nothing,
+    Tests(Vec<PhasedTest>, DataReading),
+    Fit(Box<Knowledge>),
+}
+
 /// The candidates with what is known before any test of the plan.
 fn with_so_far(
     spec: &mut Spec,
@@ -253,22 +318,21 @@ fn with_so_far(
     (planned, slots): (&Planned<'_>, &Slots),
     candidates: CandidateInformation,
     work: &mut JobWork<'_>,
-) -> Result<CandidateInformation, Failure> {
-    match &request.so_far {
-        None => Ok(candidates),
+) -> Result<(CandidateInformation, Before), Failure> {
+    let before = match &request.so_far {
+        None => Before::Nothing,
         Some(SoFar::Tests(data)) => {
             let (tests, reading) = candidates::read_made(spec, data, work)?;
-            let made = TestsToPlan::new(planned.free, &tests, &reading, planned.alpha)?;
-            let made = planned.information(&made, (slots, &values(slots, planned.alpha)), work)?;
-            Ok(candidates.after_tests(&made))
+            Before::Tests(tests, reading)
         }
         Some(SoFar::Fit(document)) => {
             let record: kalfit::FitRecord = results::read(document, FIT).map_err(TruthError::from)?;
             let knowledge = record.knowledge(planned.free);
             let knowledge = knowledge.ok_or_else(|| refused_plan(BestPlanError::NoErrors { path: document.name() }))?;
-            Ok(candidates.after_fit(&knowledge, slots))
+            Before::Fit(Box::new(knowledge))
         }
-    }
+    };
+    Ok((planned.after(candidates, slots, &before, work)?, before))
 }
 
 fn in_words(error: NoPlan, figures: &Figures, (goal, request): (&Goal, &BestPlanRequest)) -> BestPlanError {

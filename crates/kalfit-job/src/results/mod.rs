@@ -28,6 +28,9 @@ pub(crate) const TEST: ResultKind = ResultKind { schema: "kalfit-test/1", comman
 /// What `kalfit validate --out` writes.
 pub(crate) const VALIDATED: ResultKind = ResultKind { schema: VALIDATE_SCHEMA, command: "validate" };
 
+/// What `kalfit plan --out` writes.
+pub(crate) const PLAN: ResultKind = ResultKind { schema: "kalfit-plan/1", command: "plan" };
+
 /// Why results cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultError {

@@ -2,30 +2,45 @@
 
 use super::problem::{Kinds, PlanValue};
 
-/// The largest of Σ n_k ψ_k over all plans within the budget, and the plan: the budget is filled by gain per cost.
-pub(super) fn filled(kinds: &Kinds, gains: &[f64]) -> (f64, Vec<f64>) {
-    let mut order: Vec<usize> = (0..kinds.len()).filter(|&k| gains[k] > 0.0).collect();
-    let per_cost = |k: usize| gains[k] / kinds.costs[k];
-    order.sort_by(|&a, &b| per_cost(b).total_cmp(&per_cost(a)).then(a.cmp(&b)));
-    let (mut left, mut sum, mut numbers) = (kinds.budget, 0.0, vec![0.0; kinds.len()]);
-    for k in order {
-        let n = kinds.most[k].min(left / kinds.costs[k]);
-        (numbers[k], sum) = (n, sum + n * gains[k]);
-        left -= n * kinds.costs[k];
-        if left <= 0.0 {
-            break;
-        }
+/// Kinds by gain per cost, for the largest of Σ n_k ψ_k over all plans within a budget.
+pub(super) struct ByGain {
+    /// (Gain per cost, largest cost) of each kind with a gain, the largest gain per cost first.
+    order: Vec<(f64, f64)>,
+    /// (Cost, gain) of all kinds before each, in the largest numbers.
+    before: Vec<(f64, f64)>,
+}
+
+impl ByGain {
+    pub(super) fn new(kinds: &Kinds, gains: &[f64]) -> ByGain {
+        let with_gain = (0..kinds.len()).filter(|&k| gains[k] > 0.0);
+        let mut order: Vec<(f64, f64)> =
+            with_gain.map(|k| (gains[k] / kinds.costs[k], kinds.most[k] * kinds.costs[k])).collect();
+        order.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut sum = (0.0, 0.0);
+        let before = order.iter().map(|&(gain, cost)| {
+            let before = sum;
+            sum = (sum.0 + cost, sum.1 + cost * gain);
+            before
+        });
+        let before = before.collect();
+        ByGain { order, before }
     }
-    (sum, numbers)
+
+    /// The largest of Σ n_k ψ_k: the budget is filled by gain per cost.
+    pub(super) fn largest(&self, budget: f64) -> f64 {
+        let full = self.before.partition_point(|before| before.0 <= budget);
+        let Some(last) = full.checked_sub(1) else { return 0.0 };
+        let ((gain, cost), (spent, gained)) = (self.order[last], self.before[last]);
+        gained + gain * cost.min(budget - spent)
+    }
 }
 
 /// U - 1 at a point: every plan has a log φ of at most log φ + log U, and with several scenarios of log φ + U - 1.
 pub(super) fn gap(kinds: &Kinds, at: &PlanValue) -> f64 {
-    at.of_base + filled(kinds, &at.gains).0 - 1.0
+    at.of_base + ByGain::new(kinds, &at.gains).largest(kinds.budget) - 1.0
 }
 
-/// The bound on log φ of all plans from a point with the gap U - 1.
+/// The bound on log φ of plans with ratios of φ of at most 1 + `gap`; see [`gap`].
 pub(super) fn bound(log_phi: f64, gap: f64, scenarios: usize) -> f64 {
-    let gap = gap.max(0.0);
     log_phi + if scenarios == 1 { gap.ln_1p() } else { gap }
 }

@@ -33,7 +33,7 @@ impl Relaxed {
 
     /// No plan has a log φ above this.
     pub(super) fn bound(&self, problem: &PlanProblem) -> f64 {
-        bound::bound(self.log_phi, self.gap, problem.scenarios.len())
+        bound::bound(self.log_phi, self.gap.max(0.0), problem.scenarios.len())
     }
 }
 

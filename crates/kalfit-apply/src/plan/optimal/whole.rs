@@ -1,6 +1,6 @@
 //! The best plan in whole numbers: rounding, exchange of pairs, and branch and bound.
 
-use super::bound;
+use super::bound::{self, ByGain};
 use super::problem::PlanProblem;
 use super::relaxed::{Relaxed, relax};
 
@@ -50,15 +50,14 @@ pub fn in_whole_numbers(problem: &PlanProblem, root: &Relaxed) -> Option<WholePl
 /// The kinds of which a plan better than `least` may have a test, those of the relaxed plan among them.
 fn worth_trying(problem: &PlanProblem, root: &Relaxed, least: f64) -> Vec<usize> {
     let kinds = &problem.kinds;
+    let by_gain = ByGain::new(kinds, &root.gains);
     let may_be_better = |k: usize| {
         if kinds.costs[k] > kinds.budget || kinds.most[k] < 1.0 {
             return false;
         }
-        let mut left = kinds.clone();
-        (left.budget, left.most[k]) = (kinds.budget - kinds.costs[k], kinds.most[k] - 1.0);
-        let gap = root.of_base + root.gains[k] + bound::filled(&left, &root.gains).0 - 1.0;
+        let gap = root.of_base + root.gains[k] + by_gain.largest(kinds.budget - kinds.costs[k]) - 1.0;
         // a plan may also be worse than the relaxed one: U < 1
-        root.log_phi + if problem.scenarios.len() == 1 { gap.ln_1p() } else { gap } > least + SAME
+        bound::bound(root.log_phi, gap, problem.scenarios.len()) > least + SAME
     };
     (0..kinds.len()).filter(|&k| root.numbers[k] > 0.0 || may_be_better(k)).collect()
 }
