@@ -45,7 +45,7 @@ def test_the_best_plan_is_the_command_s(command, tmp_path):
     options = ["--from", saved, "--candidates", BENCH[1], "--budget", "9", "--for", "sd(bias)", "--with", saved]
     expected = command("plan", BENCH[0], *options)
     best = kalfit.plan(BENCH[0], tmp_path / "fit.json", candidates=BENCH[1], budget=9, goal="sd(bias)", so_far=saved)
-    assert best.to_dict() == expected
+    assert best.to_dict() == {key: value for key, value in expected.items() if key != "simulate"}, "the command names a file"
     own = kalfit.plan(BENCH[0], fit, candidates=BENCH[1], budget=9, goal="sd(bias)", so_far=fit).to_dict()
     assert own["candidates"] == expected["candidates"]
     frame = best.candidates_frame()

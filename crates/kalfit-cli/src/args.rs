@@ -677,22 +677,22 @@ pub(crate) struct ReportArgs {
 #[derive(Debug, Group)]
 #[command(after_help = examples::PLOT)]
 pub(crate) struct PlotArgs {
-    /// Results of `kalfit fit --out`
+    /// Results of `kalfit fit --out`; with `--what sensitivities` those of `kalfit plan --candidates`
     #[arg(value_name = "FIT.json")]
     pub(crate) fit: PathBuf,
 
-    /// With `--what records`: the data of the fit, or new data
+    /// With `--what records`, `residuals`, `quantiles` or `allan`: the data of the fit, or new data
     pub(crate) data: Vec<String>,
 
     /// What the figure shows
     #[arg(long, value_parser = one_of(words::FIGURES), default_value = words::FIGURES[0].word)]
     pub(crate) what: PlotKind,
 
-    /// With `--what records`: the model file
+    /// With `--what records`, `residuals`, `quantiles` or `allan`: the model file
     #[arg(long, value_name = "MODEL")]
     pub(crate) model: Option<PathBuf>,
 
-    /// With `--what records`: the test to show [default: the least probable]
+    /// With `--what records`, `residuals` or `quantiles`: the test to show [default: the least probable]
     #[arg(long, value_name = "ID")]
     pub(crate) test: Option<String>,
 

@@ -140,7 +140,8 @@ pub(crate) const PLOT: &str = "\
 Examples:
   kalfit plot fit.json --out forest.svg
   kalfit plot fit.json --what ellipses --width 1200 --out ellipses.png
-  kalfit plot fit.json data.csv --what records --model model.toml --test A7 --out record.svg";
+  kalfit plot fit.json data.csv --what records --model model.toml --test A7 --out record.svg
+  kalfit plot plan.json --what sensitivities --out candidates.svg";
 
 pub(crate) const COMPLETIONS: &str = "\
 Examples:

@@ -239,10 +239,10 @@ pub enum Failure {
     #[error("found a model, expected results of `kalfit fit`")]
     PlotOfModel,
     /// A figure of records, without them.
-    #[error("`--what records` needs the model and the data, which the results do not contain")]
+    #[error("this figure needs the model and the data, which the results do not contain")]
     RecordsWithoutData,
     /// A model, data or a test, which a figure has no use for.
-    #[error("`--model`, `--test` and data go with `--what records` only")]
+    #[error("`--model`, `--test` and data go with `--what records`, `residuals`, `quantiles` and `allan` only")]
     IdlePlotData,
     /// Standard errors that a criterion does not have.
     #[error("`--std-errors expected` and `--std-errors sandwich` go with `--criterion ml` only")]

@@ -1,4 +1,4 @@
-//! `kalfit plot`: one figure of a fit, as SVG or PNG.
+//! `kalfit plot`: one figure of a fit or a plan, as SVG or PNG.
 
 use std::path::Path;
 
@@ -11,11 +11,11 @@ use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::job::{JobDone, PlotJob, files};
 use crate::output::{FileContents, OutputError, OutputFile};
-use crate::results::{FIT, read};
+use crate::results::{FIT, PLAN, read};
 use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
-/// Draws a figure of a fit from its results; along records with the model and the data, too.
+/// Draws a figure of a fit or a plan from its results; figures of data with the model and the data, too.
 ///
 /// # Errors
 /// Bad input, or nothing to draw.
@@ -26,7 +26,7 @@ pub fn plot(job: &PlotJob, watch: &mut dyn JobWatch) -> Result<JobDone<()>, Fail
         kalfit_report::plot(record, job.what, chosen, (format, job.width)).map_err(Failure::Plot)
     };
     let (figure, notes) = match (job.what, &job.model) {
-        (PlotKind::Records, Some(model)) => {
+        (what, Some(model)) if what.is_of_data() => {
             let (mut spec, truth) = truth::load(model, &job.fit)?;
             let given = CommandInputs::open(&mut spec, &job.data)?;
             prepared(job, &files(&[&model.document, &job.fit], &given.inputs))?;
@@ -39,8 +39,12 @@ pub fn plot(job: &PlotJob, watch: &mut dyn JobWatch) -> Result<JobDone<()>, Fail
             work.go_on()?;
             (shown(&record, known.as_ref())?, [truth.warnings, given.notes].concat())
         }
-        (PlotKind::Records, None) => return Err(Failure::RecordsWithoutData),
+        (what, None) if what.is_of_data() => return Err(Failure::RecordsWithoutData),
         _ if job.model.is_some() || !job.data.is_empty() || job.test.is_some() => return Err(Failure::IdlePlotData),
+        (PlotKind::Sensitivities, _) => {
+            let record = read(&job.fit, PLAN).map_err(|error| Failure::Report(Box::new(error)))?;
+            (kalfit_report::plot_plan(&record, (format, job.width)).map_err(Failure::Plot)?, Vec::new())
+        }
         _ => (shown(&read(&job.fit, FIT).map_err(|error| Failure::Report(Box::new(error)))?, None)?, Vec::new()),
     };
     output.write_bytes(&figure)?;

@@ -124,6 +124,14 @@ pub const FIGURES: &[OptionWord<PlotKind>] = &[
     word("ellipses", PlotKind::Ellipses, "Each pair of states: the population, and the tests in it"),
     word("influence", PlotKind::Influence, "How far the estimates move when a test is left out"),
     word("records", PlotKind::Records, "A test over time: measured and predicted values, innovations"),
+    word("residuals", PlotKind::Residuals, "A test over time: innovations over their standard deviations"),
+    word("quantiles", PlotKind::Quantiles, "A test: innovations against the quantiles of the normal law"),
+    word("allan", PlotKind::Allan, "Allan deviations of the records and of the fitted model"),
+    word(
+        "sensitivities",
+        PlotKind::Sensitivities,
+        "Of the results of `kalfit plan --candidates`: what each candidate brings",
+    ),
 ];
 
 /// Whose tests are predicted.

@@ -33,6 +33,9 @@ pub struct BestPlanRecord {
     pub information_so_far: Option<String>,
     /// Draws of the parameters that the plan is good for on average, those of the fit among them; null for one set.
     pub draws: Option<DrawsRecord>,
+    /// The command that draws an ensemble of this plan; absent where it was not written to a file, and with levels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulate: Option<String>,
 }
 
 /// Draws of the parameters by the law of their estimates.
@@ -90,6 +93,7 @@ impl BestPlanRecord {
             nodes: best.whole.nodes,
             information_so_far,
             draws,
+            simulate: None,
         }
     }
 }

@@ -73,7 +73,7 @@ fn verdict(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
         plain(best.budget, 6)
     )];
     if let Some(one) = single(record, best) {
-        let now = one.std_error_before.map_or("not known".to_owned(), |error| plain(error, 3));
+        let now = one.std_error_before.map_or("not known now".to_owned(), |error| format!("now {}", plain(error, 3)));
         let after = one.std_error[0].map_or("not known".to_owned(), |error| plain(error, 3));
         let least = match one.std_error[0].filter(|_| best.draws.is_none()) {
             Some(error) => {
@@ -81,7 +81,7 @@ fn verdict(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
             }
             None => String::new(),
         };
-        said.push(format!("Standard error of {}: {after} (now {now}).{least}", clean(best.criterion.trim())));
+        said.push(format!("Standard error of {}: {after} ({now}).{least}", clean(best.criterion.trim())));
     }
     let efficiency = (best.efficiency_bound * 1e4).floor() / 100.0;
     let proof = match best.optimal_in_whole_numbers {
@@ -200,5 +200,8 @@ fn notes(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
     }
     notes
         .push("With few tests, estimates scatter more than this: simulate the plan and fit what was drawn.".to_owned());
+    if let Some(command) = &best.simulate {
+        notes.push(format!("`{}`", clean(command)));
+    }
     notes
 }

@@ -29,7 +29,7 @@ pub use datasheet::datasheet_summary;
 pub use exported::exported_summary;
 pub use html::{html, html_along, html_with_test};
 pub use plan::plan_summary;
-pub use plot::{PlotError, PlotFormat, PlotKind, WIDTHS, plot};
+pub use plot::{PlotError, PlotFormat, PlotKind, WIDTHS, plot, plot_plan};
 pub use predicted::predicted_summary;
 pub use ratio::ratio_summary;
 pub use summary::summary;

@@ -208,6 +208,10 @@ fn a_fit_stands_for_its_tests() {
     assert_eq!(drawn, again);
     assert_eq!(drawn.best.as_ref().unwrap().draws.unwrap().count, 10);
     assert!(drawn.best.unwrap().gap < 1e-8);
+    let command = again.best.unwrap().simulate.unwrap();
+    let expected =
+        "kalfit simulate bench.toml --from fit.json --design bench.csv --plan plan.json --seed 1 --out drawn.csv";
+    assert_eq!(command, expected);
     let output =
         folder.run("simulate bench.toml --from fit.json --design bench.csv --plan plan.json --seed 1 --out drawn.csv");
     assert_eq!(output.status.code(), Some(0), "{}", shown(&output));

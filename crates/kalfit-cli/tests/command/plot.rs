@@ -55,7 +55,14 @@ fn every_figure_has_what_it_is_about() {
         ("--what influence", &["Cook's displacement", "u&lt;7&gt;", "50 % confidence region"], 0),
         (records, &["Test u&lt;3&gt; of 8", "rate", "innovations / standard deviation", "time [s]"], 80),
     ];
-    for (options, words, dots) in cases {
+    let of_data = |what: &str| format!("timed.csv --what {what} --model timed.toml");
+    let [residuals, quantiles, allan] = ["residuals", "quantiles", "allan"].map(of_data);
+    let more = [
+        (residuals.as_str(), &["Test u&lt;", "over their standard deviations", "rate", "time [s]"][..], 40),
+        (&quantiles, &["innovations against the quantiles", "quantile of the normal law"], 40),
+        (&allan, &["Allan deviation", "averaging time [s]", "rate"], 5),
+    ];
+    for (options, words, dots) in cases.into_iter().chain(more) {
         let figure = drawn(&folder, options, "f.svg");
         assert!(figure.starts_with("<svg ") && figure.ends_with("</svg>\n"), "{options} is not whole");
         for word in words {
@@ -65,6 +72,21 @@ fn every_figure_has_what_it_is_about() {
         assert!(!figure.contains("u<"), "names of {options} are text");
         assert!(!figure.contains("NaN") && !figure.contains("inf"), "{options} has places that are no numbers");
     }
+}
+
+#[test]
+fn candidates_of_a_plan_are_drawn_by_their_sensitivities() {
+    let folder = timed();
+    let planned = folder.run("plan timed.toml --from fit.json --candidates timed.csv --budget 5 --out plan.json -q");
+    assert_eq!(planned.status.code(), Some(0), "{}", shown(&planned));
+    let done = folder.run("plot plan.json --what sensitivities --out s.svg");
+    assert_eq!(done.status.code(), Some(0), "{}", shown(&done));
+    let figure = std::fs::read_to_string(folder.path("s.svg")).unwrap_or_default();
+    for word in ["8 candidates", "5 × u&lt;", "Orange:", "room for more"] {
+        assert!(figure.contains(word), "it lacks {word}");
+    }
+    let refused = shown(&folder.run("plot fit.json --what sensitivities --out s.svg"));
+    assert!(refused.contains("the schema is `kalfit-fit/1`"), "{refused}");
 }
 
 #[test]
@@ -106,7 +128,7 @@ fn what_cannot_be_drawn_is_refused() {
     exit 2
     ----- stdout
     ----- stderr
-    error: `--what records` needs the model and the data, which the results do not contain
+    error: this figure needs the model and the data, which the results do not contain
 
     hint: write `kalfit plot fit.json data.csv --what records --model model.toml --out records.svg`
 
@@ -114,7 +136,7 @@ fn what_cannot_be_drawn_is_refused() {
     exit 2
     ----- stdout
     ----- stderr
-    error: `--model`, `--test` and data go with `--what records` only
+    error: `--model`, `--test` and data go with `--what records`, `residuals`, `quantiles` and `allan` only
 
     hint: leave them out: other figures are drawn from the results alone
 

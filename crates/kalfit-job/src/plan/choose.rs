@@ -1,5 +1,6 @@
 //! The best plan among candidates (theory §15).
 
+use std::path::Path;
 use std::sync::Arc;
 
 use kalfit::dynamic::{UnitError, UnitInformation, unit_information};
@@ -73,8 +74,9 @@ pub(super) fn choose(
         .map_err(|error| refused_plan(in_words(error, &figures, (&goal, request))))?;
     let draws = request.draws.map(|(_, seed)| DrawsRecord { count: scenarios.len() - 1, seed });
     let named = request.so_far.as_ref().map(SoFar::name);
-    let record =
+    let mut record =
         BestPlanRecord::new((&best, request.goal.trim().to_owned(), scenarios.len()), (&names, &kinds), (named, draws));
+    record.simulate = simulation(job, &spec, &given);
     let mut taken: Vec<String> = known;
     taken.sort();
     let provenance = PlanProvenance {
@@ -94,6 +96,22 @@ pub(super) fn choose(
         ));
     }
     JobDone::in_json(record, notes, output.as_ref())
+}
+
+/// The command that draws an ensemble of the plan, ready to be typed; `None` where it is in no file, and with levels.
+fn simulation(job: &PlanJob, spec: &Spec, given: &CommandInputs) -> Option<String> {
+    let out = job.out.as_ref().filter(|out| out.as_os_str() != "-" && spec.model.levels.is_empty())?;
+    let (model, from) = (job.model.document.path()?, job.from.path()?);
+    let is_plain = |letter: char| letter.is_alphanumeric() || "/._-+=:@%".contains(letter);
+    let quoted = |text: String| match text.chars().all(is_plain) && !text.is_empty() {
+        true => text,
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    };
+    let path = |path: &Path| quoted(path.display().to_string());
+    let designs: Vec<String> = given.names().into_iter().map(quoted).collect();
+    let set: String = job.model.set.iter().map(|set| format!(" --set {}", quoted(set.clone()))).collect();
+    let (model, from, out, designs) = (path(model), path(from), path(out), designs.join(" "));
+    Some(format!("kalfit simulate {model}{set} --from {from} --design {designs} --plan {out} --seed 1 --out drawn.csv"))
 }
 
 impl SoFar {

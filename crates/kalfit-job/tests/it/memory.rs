@@ -72,7 +72,7 @@ fn an_ensemble_is_drawn_from_a_fit_in_memory() {
     let from = Document::Text { name: "the fit".to_owned(), text: json, file: None };
     let of = |out, states| {
         let (model, from, design) = (model(MODEL), from.clone(), given.clone());
-        let job = SimulateJob { model, from, design, tests: Some(5), seed: 3, out, states };
+        let job = SimulateJob { model, from, design, tests: Some(5), plan: None, seed: 3, out, states };
         kalfit_job::simulate(&job, &mut Unwatched).unwrap().record
     };
     let drawn = of(None, None);

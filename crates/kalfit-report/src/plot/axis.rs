@@ -64,9 +64,33 @@ impl PlotAxis {
         Vec::new()
     }
 
+    /// Logarithms of round values: powers of ten, with multiples of them where each has the points that it needs.
+    fn powers(&self, needs: f64) -> Vec<(f64, String)> {
+        let per_point = (self.high - self.low) / (self.to - self.from).abs();
+        let decades = (self.low.floor().max(-300.0) as i32)..=(self.high.ceil().min(300.0) as i32);
+        let factors: &[f64] = match needs * per_point {
+            least if least <= 0.09 => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0],
+            least if least <= 0.3 => &[1.0, 2.0, 5.0],
+            _ => &[1.0],
+        };
+        let every = ((needs * per_point).ceil() as i32).max(1);
+        let decades = decades.filter(|decade| decade.rem_euclid(every) == 0);
+        let all = decades.flat_map(|decade| factors.iter().map(move |factor| factor * 10f64.powi(decade)));
+        all.map(|value| (value.log10(), plain(value, DIGITS))).filter(|(at, _)| self.holds(*at)).collect()
+    }
+
     /// Numbers below a figure, and lines up to its top.
     pub(super) fn below(&self, on: &mut PlotCanvas<'_>, top: f64, bottom: f64) {
-        for (tick, words) in self.ticks(|words| (width_of(words, SMALL) + 14.0).max(55.0)) {
+        self.below_with(on, top, bottom, self.ticks(|words| (width_of(words, SMALL) + 14.0).max(55.0)));
+    }
+
+    /// As [`PlotAxis::below`], of logarithms to base ten.
+    pub(super) fn below_in_powers(&self, on: &mut PlotCanvas<'_>, top: f64, bottom: f64) {
+        self.below_with(on, top, bottom, self.powers(55.0));
+    }
+
+    fn below_with(&self, on: &mut PlotCanvas<'_>, top: f64, bottom: f64, ticks: Vec<(f64, String)>) {
+        for (tick, words) in ticks {
             let x = self.at(tick);
             on.line(&[[x, top], [x, bottom]], GRID, 0.7);
             on.text([x, bottom + 9.0], &words, SMALL, TextAnchor::Middle, FAINT);
@@ -77,7 +101,16 @@ impl PlotAxis {
     /// Numbers at the left of a figure, and lines to its right.
     pub(super) fn beside(&self, on: &mut PlotCanvas<'_>, left: f64, right: f64) {
         let least = if (self.to - self.from).abs() < LOW { CLOSEST } else { 2.0 * CLOSEST };
-        for (tick, words) in self.ticks(|_| least) {
+        self.beside_with(on, left, right, self.ticks(|_| least));
+    }
+
+    /// As [`PlotAxis::beside`], of logarithms to base ten.
+    pub(super) fn beside_in_powers(&self, on: &mut PlotCanvas<'_>, left: f64, right: f64) {
+        self.beside_with(on, left, right, self.powers(2.0 * CLOSEST));
+    }
+
+    fn beside_with(&self, on: &mut PlotCanvas<'_>, left: f64, right: f64, ticks: Vec<(f64, String)>) {
+        for (tick, words) in ticks {
             let y = self.at(tick);
             on.line(&[[left, y], [right, y]], GRID, 0.7);
             on.text([left - 5.0, y], &words, SMALL, TextAnchor::Right, FAINT);
@@ -97,6 +130,18 @@ mod tests {
         let words = |needs: f64| axis.ticks(|_| needs).into_iter().map(|(_, words)| words).collect::<Vec<_>>();
         assert_eq!(words(50.0), ["-1", "0", "1", "2"]);
         assert_eq!(words(40.0), ["-1", "-0.5", "0", "0.5", "1", "1.5", "2"]);
+    }
+
+    #[test]
+    fn ticks_of_logarithms_are_as_close_as_there_is_room() {
+        let words = |low: f64, high: f64, needs: f64| {
+            let axis = PlotAxis::over([low.log10(), high.log10()].into_iter(), 0.0, 300.0);
+            axis.powers(needs).into_iter().map(|(_, words)| words).collect::<Vec<_>>()
+        };
+        assert_eq!(words(1e-3, 1e3, 40.0), ["0.001", "0.01", "0.1", "1", "10", "100", "1000"]);
+        assert_eq!(words(1e-3, 1e3, 90.0), ["0.01", "1", "100"]);
+        assert_eq!(words(1.0, 10.0, 40.0), ["1", "2", "5", "10"]);
+        assert_eq!(words(40.0, 90.0, 40.0), ["40", "50", "70"]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! What is drawn is what the report draws, from the same rows. A figure is a scene of a few kinds of shapes, which both formats are
 //! made from (docs/decisions/0023-figures.md).
 
+mod allan;
 mod axis;
 mod canvas;
 mod ellipses;
@@ -12,19 +13,22 @@ mod influence;
 mod picture;
 mod png;
 mod records;
+mod sensitivities;
 mod svg;
 
 use kalfit::FitRecord;
-use kalfit::record::AlongRecord;
+use kalfit::record::{AlongRecord, PlanRecord};
 
 pub use crate::plot::error::PlotError;
 pub use crate::plot::picture::PlotFormat;
 
+use crate::plot::allan::AllanPlot;
 use crate::plot::ellipses::EllipsePlot;
 use crate::plot::forest::ForestPlot;
 use crate::plot::influence::InfluencePlot;
 use crate::plot::picture::DrawablePlot;
-use crate::plot::records::RecordPlot;
+use crate::plot::records::{RecordPanels, RecordPlot};
+use crate::plot::sensitivities::SensitivityPlot;
 
 /// Widths of a figure, in points of a screen.
 pub const WIDTHS: std::ops::RangeInclusive<u32> = 300..=3000;
@@ -40,10 +44,25 @@ pub enum PlotKind {
     Influence,
     /// A test along its record: measured and predicted values, innovations.
     Records,
+    /// Standardised innovations of a test over time.
+    Residuals,
+    /// Standardised innovations of a test against the quantiles of the normal law.
+    Quantiles,
+    /// Allan deviations of the records and of the fitted model.
+    Allan,
+    /// Candidates of a plan: what one more unit of cost brings.
+    Sensitivities,
 }
 
-/// A figure of a fit, as a whole file. `along` and `test` are for [`PlotKind::Records`] alone: what is known along the records, and the
-/// test to show, by default the least probable.
+impl PlotKind {
+    /// Whether the figure needs the model and the data, not the results alone.
+    pub fn is_of_data(self) -> bool {
+        matches!(self, PlotKind::Records | PlotKind::Residuals | PlotKind::Quantiles | PlotKind::Allan)
+    }
+}
+
+/// A figure of a fit, as a whole file. `along` and `test` are for figures of data alone: what is known along the records, and
+/// the test to show, by default the least probable.
 ///
 /// # Errors
 /// [`PlotError`].
@@ -54,10 +73,26 @@ pub fn plot(
     (format, width): (PlotFormat, u32),
 ) -> Result<Vec<u8>, PlotError> {
     let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
+    let records = |panels| RecordPlot::of(along, test, panels)?.put(&record.title, format, width);
     match what {
-        PlotKind::Forest => ForestPlot::of(record)?.put(record, format, width),
-        PlotKind::Ellipses => EllipsePlot::of(record)?.put(record, format, width),
-        PlotKind::Influence => InfluencePlot::of(record)?.put(record, format, width),
-        PlotKind::Records => RecordPlot::of(along, test)?.put(record, format, width),
+        PlotKind::Forest => ForestPlot::of(record)?.put(&record.title, format, width),
+        PlotKind::Ellipses => EllipsePlot::of(record)?.put(&record.title, format, width),
+        PlotKind::Influence => InfluencePlot::of(record)?.put(&record.title, format, width),
+        PlotKind::Records => records(RecordPanels::Values),
+        PlotKind::Residuals => records(RecordPanels::Innovations),
+        PlotKind::Quantiles => records(RecordPanels::Quantiles),
+        PlotKind::Allan => AllanPlot::of(along)?.put(&record.title, format, width),
+        PlotKind::Sensitivities => {
+            Err(PlotError::Nothing("they are those of a plan: give the file that `kalfit plan --out` wrote".to_owned()))
+        }
     }
+}
+
+/// The sensitivities of a plan among candidates, as a whole file.
+///
+/// # Errors
+/// [`PlotError`].
+pub fn plot_plan(record: &PlanRecord, (format, width): (PlotFormat, u32)) -> Result<Vec<u8>, PlotError> {
+    let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
+    SensitivityPlot::of(record)?.put(&record.title, format, width)
 }

@@ -1,7 +1,5 @@
 //! From a figure's shapes to its file.
 
-use kalfit::FitRecord;
-
 use crate::plot::canvas::{LINE, PlotCanvas, PlotScene, WORDS, lines};
 use crate::plot::error::PlotError;
 use crate::plot::{png, svg};
@@ -30,13 +28,13 @@ pub(super) trait DrawablePlot {
     fn draw(&self, on: &mut PlotCanvas<'_>);
 
     /// The file.
-    fn put(&self, record: &FitRecord, format: PlotFormat, width: u32) -> Result<Vec<u8>, PlotError> {
+    fn put(&self, title: &str, format: PlotFormat, width: u32) -> Result<Vec<u8>, PlotError> {
         let width = f64::from(width);
         let caption = lines(&self.caption(), width - 24.0, WORDS);
         let heading = HEADING + LINE * caption.len() as f64;
         let mut scene = PlotScene { width, height: (heading + self.height(width)).ceil(), shapes: Vec::new() };
         let mut canvas = scene.canvas();
-        canvas.heading(&clean(&record.title), &caption);
+        canvas.heading(&clean(title), &caption);
         self.draw(&mut canvas.below(heading));
         match format {
             PlotFormat::Svg => Ok(svg::svg(&scene).into_bytes()),

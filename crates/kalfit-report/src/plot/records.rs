@@ -12,15 +12,39 @@ use crate::words::{clean, list};
 const MOST: usize = 6;
 /// Tests that are named.
 const MOST_NAMES: usize = 20;
-/// Heights of the values and of the innovations of a measurement, and of what stands around each.
+/// Heights of the values, of the innovations and of the quantiles of a measurement, and of what stands around each.
 const VALUES: f64 = 170.0;
 const INNOVATIONS: f64 = 90.0;
+const QUANTILES: f64 = 260.0;
 const AROUND: f64 = 50.0;
 /// Half of the interval that holds 95 % of a standard normal number.
 const LIMIT: f64 = 1.96;
 const LEFT: f64 = 66.0;
 
+/// What is drawn of each measurement of a test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum RecordPanels {
+    /// Values with predictions, and innovations.
+    Values,
+    /// Innovations alone.
+    Innovations,
+    /// Innovations against the quantiles of the normal law.
+    Quantiles,
+}
+
+impl RecordPanels {
+    /// Height of what is drawn of a measurement.
+    fn height(self) -> f64 {
+        match self {
+            RecordPanels::Values => VALUES + INNOVATIONS + 2.0 * AROUND,
+            RecordPanels::Innovations => INNOVATIONS + 2.0 * AROUND,
+            RecordPanels::Quantiles => QUANTILES + 2.0 * AROUND,
+        }
+    }
+}
+
 pub(super) struct RecordPlot<'a> {
+    panels: RecordPanels,
     test: &'a TestAlong,
     unit: Option<String>,
     of: usize,
@@ -28,7 +52,11 @@ pub(super) struct RecordPlot<'a> {
 
 impl<'a> RecordPlot<'a> {
     /// Of this test, by default the least probable.
-    pub(super) fn of(along: Option<&'a AlongRecord>, test: Option<&str>) -> Result<RecordPlot<'a>, PlotError> {
+    pub(super) fn of(
+        along: Option<&'a AlongRecord>,
+        test: Option<&str>,
+        panels: RecordPanels,
+    ) -> Result<RecordPlot<'a>, PlotError> {
         let Some(along) = along else {
             return Err(PlotError::Nothing("records over time need a model with `time`, and the data".to_owned()));
         };
@@ -37,7 +65,9 @@ impl<'a> RecordPlot<'a> {
             Some(id) => along.tests.iter().find(|one| one.id == id),
         };
         match (found, test) {
-            (Some(test), _) => Ok(RecordPlot { test, unit: along.time_unit.as_deref().map(clean), of: along.of }),
+            (Some(test), _) => {
+                Ok(RecordPlot { panels, test, unit: along.time_unit.as_deref().map(clean), of: along.of })
+            }
             (None, Some(id)) if !along.tests.is_empty() => Err(PlotError::NoTest {
                 test: clean(id),
                 known: list(&along.tests.iter().map(|one| clean(&one.id)).collect::<Vec<_>>(), MOST_NAMES),
@@ -62,23 +92,30 @@ impl<'a> RecordPlot<'a> {
 
 impl DrawablePlot for RecordPlot<'_> {
     fn caption(&self) -> String {
-        format!(
-            "Test {} of {}: measured values, predictions ± 2 standard deviations, innovations",
-            clean(&self.test.id),
-            self.of
-        )
+        let what = match self.panels {
+            RecordPanels::Values => "measured values, predictions ± 2 standard deviations, innovations",
+            RecordPanels::Innovations => "innovations over their standard deviations",
+            RecordPanels::Quantiles => "innovations against the quantiles of the normal law",
+        };
+        format!("Test {} of {}: {what}", clean(&self.test.id), self.of)
     }
 
     fn height(&self, _: f64) -> f64 {
-        self.measurements().len() as f64 * (VALUES + INNOVATIONS + 2.0 * AROUND) + 10.0
+        self.measurements().len() as f64 * self.panels.height() + 10.0
     }
 
     fn draw(&self, on: &mut PlotCanvas<'_>) {
         let time = self.unit.as_ref().map_or("time".to_owned(), |unit| format!("time [{unit}]"));
         for (k, (name, own)) in self.measurements().into_iter().enumerate() {
-            let top = k as f64 * (VALUES + INNOVATIONS + 2.0 * AROUND);
-            values(own, &name, &mut on.below(top));
-            innovations(own, &time, &mut on.below(top + VALUES + AROUND));
+            let on = &mut on.below(k as f64 * self.panels.height());
+            match self.panels {
+                RecordPanels::Values => {
+                    values(own, &name, on);
+                    innovations(own, "innovations / standard deviation", &time, &mut on.below(VALUES + AROUND));
+                }
+                RecordPanels::Innovations => innovations(own, &name, &time, on),
+                RecordPanels::Quantiles => quantiles(own, &name, on),
+            }
         }
     }
 }
@@ -109,11 +146,11 @@ fn values(own: &MeasurementAlong, name: &str, on: &mut PlotCanvas<'_>) {
     }
 }
 
-fn innovations(own: &MeasurementAlong, time: &str, on: &mut PlotCanvas<'_>) {
+fn innovations(own: &MeasurementAlong, name: &str, time: &str, on: &mut PlotCanvas<'_>) {
     let (x, right) = (times(own, on), on.width - 18.0);
     let (top, bottom) = (24.0, 24.0 + INNOVATIONS);
     let y = PlotAxis::over(own.standardised.iter().copied().chain([-LIMIT, LIMIT]), bottom, top);
-    on.text([12.0, 10.0], "innovations / standard deviation", WORDS, TextAnchor::Left, INK);
+    on.text([12.0, 10.0], &cut(name, on.width - 24.0, WORDS), WORDS, TextAnchor::Left, INK);
     x.below(on, top, bottom);
     y.beside(on, LEFT, right);
     for limit in [-LIMIT, LIMIT] {
@@ -123,4 +160,22 @@ fn innovations(own: &MeasurementAlong, time: &str, on: &mut PlotCanvas<'_>) {
         on.dot([x.at(*at), y.at(*value)], 1.8, if value.abs() > 3.0 { ORANGE } else { BLUE }, true);
     }
     on.text([right, bottom + 23.0], time, SMALL, TextAnchor::Right, FAINT);
+}
+
+fn quantiles(own: &MeasurementAlong, name: &str, on: &mut PlotCanvas<'_>) {
+    let (top, bottom) = (24.0, 24.0 + QUANTILES);
+    let right = (LEFT + 1.4 * QUANTILES).min(on.width - 18.0);
+    let both = || own.quantiles.iter().flatten().copied();
+    let (x, y) = (PlotAxis::over(both(), LEFT, right), PlotAxis::over(both(), bottom, top));
+    on.text([12.0, 10.0], &cut(name, on.width - 24.0, WORDS), WORDS, TextAnchor::Left, INK);
+    x.below(on, top, bottom);
+    y.beside(on, LEFT, right);
+    let ends = both().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], at| [low.min(at), high.max(at)]);
+    if ends[0] < ends[1] {
+        on.dashed([x.at(ends[0]), y.at(ends[0])], [x.at(ends[1]), y.at(ends[1])], FAINT);
+    }
+    for [quantile, value] in &own.quantiles {
+        on.dot([x.at(*quantile), y.at(*value)], 1.8, if value.abs() > 3.0 { ORANGE } else { BLUE }, true);
+    }
+    on.text([right, bottom + 23.0], "quantile of the normal law", SMALL, TextAnchor::Right, FAINT);
 }

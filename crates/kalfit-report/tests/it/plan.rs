@@ -16,6 +16,11 @@ fn quantity(kind: &str, states: &[&str], value: Option<f64>, errors: Result<[f64
         value,
         std_error: errors.map_or_else(|_| vec![None; 3], |errors| errors.iter().map(|&e| Some(e)).collect()),
         reason: errors.err().map(str::to_owned),
+        relative_std_error: Vec::new(),
+        parameter: None,
+        std_error_before: None,
+        df: None,
+        informed_by: None,
     }
 }
 
@@ -48,6 +53,7 @@ fn record() -> PlanRecord {
             quantity("correlation", &["bias", "rate"], Some(0.0), Err("fixed")),
             quantity("covariance", &["bias", "bias"], Some(1.0), Ok([1.0, 0.2, 0.04])),
         ],
+        best: None,
     }
 }
 

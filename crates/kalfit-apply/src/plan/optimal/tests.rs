@@ -132,8 +132,11 @@ fn figure(entries: &[(usize, f64)]) -> DMatrix<f64> {
     h
 }
 
-/// The criteria of case 1 with (relaxed numbers, whole numbers, log φ of both).
-fn expected() -> [(Criterion, [f64; 4], [f64; 4], [f64; 2]); 4] {
+/// A criterion with relaxed numbers, whole numbers, and log φ of both.
+type Case = (Criterion, [f64; 4], [f64; 4], [f64; 2]);
+
+/// The criteria of case 1.
+fn expected() -> [Case; 4] {
     // corr(bias, scale) with variances 0.6 and 1, and covariance 0.3
     let (unit, rho) = (0.6f64.sqrt(), 0.3 / 0.6f64.sqrt());
     let mut means = DMatrix::zeros(9, 3);
