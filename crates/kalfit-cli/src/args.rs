@@ -444,7 +444,8 @@ pub(crate) struct PlanArgs {
     pub(crate) candidates: Vec<String>,
 
     /// Largest cost of all tests together
-    #[arg(long, value_name = "COST", requires = "candidates", value_parser = length, help_heading = BEST_PLAN)]
+    #[arg(long, value_name = "COST", requires = "candidates", conflicts_with = "design", value_parser = length,
+          allow_negative_numbers = true, help_heading = BEST_PLAN)]
     pub(crate) budget: Option<f64>,
 
     /// Column of the cost of one test, constant in each candidate [default: `cost` where there is one, else 1]

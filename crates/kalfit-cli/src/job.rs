@@ -68,6 +68,7 @@ impl CommandOrder {
         // now, where it can be told that there are none: whoever wants the first one could not
         threads::start(self.threads)?;
         kalfit_job::memory_is_there()?;
+        kalfit_job::check_rows_variable()?;
         let telling = self.telling;
         interrupt::listen(matches!(self.job, CommandJob::Fit(_)), telling.quiet);
         match &self.job {

@@ -146,7 +146,7 @@ impl<'a> AsymptoticLaw<'a> {
 
     /// Derivatives of a quantity by mean coordinates and elements of Σ; `None` where the derivatives do not exist (a
     /// variance of zero). `sigma` is Σ in the user's units.
-    fn weights_of(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<DVector<f64>> {
+    pub(crate) fn weights_of(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<DVector<f64>> {
         let variance = |i: usize| Some(sigma[(i, i)]).filter(|variance| *variance > 0.0);
         Some(match what {
             Holdable::Mean(i) => self.weights(&[(i, self.scale()[i])]),

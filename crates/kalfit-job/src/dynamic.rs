@@ -19,7 +19,7 @@ use crate::inferred::{TestSorting, patience, record};
 use crate::innovations;
 use crate::job::{FitJob, MethodChoice};
 use crate::work::JobWork;
-use crate::{groups, lost, reductions, tests};
+use crate::{groups, lost, memory, reductions, tests};
 
 /// Every method, the one that the results are of first.
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
@@ -33,6 +33,7 @@ pub(crate) fn fit(
 ) -> Result<(FitRecord, HeldTests), Failure> {
     let (model, shared) = (&spec.model, spec.model.shared());
     let (tests, reading) = tests::read(spec, given, work)?;
+    memory::suffices_for(tests.len(), spec, job.choices.tests)?;
     let slots = Slots::in_phases(model, &reading.labels, &tests);
     let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
     if slots.is_empty() {

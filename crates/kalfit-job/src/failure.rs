@@ -16,7 +16,7 @@ use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
 use kalfit::validate::NotComparable;
 use kalfit::validate::{FoldsError, ValidateError};
-use kalfit_data::{DataError, DataReading, WriteError, bytes_in_words};
+use kalfit_data::{DataError, DataReading, MOST_ROWS, WriteError, bytes_in_words};
 use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
@@ -214,6 +214,24 @@ pub enum Failure {
         path: String,
         /// What is wrong.
         problem: String,
+    },
+    /// A variable that is no number of rows.
+    #[error("the variable {MOST_ROWS} is `{found}`, expected a number of rows")]
+    RowsVariable {
+        /// What it holds.
+        found: String,
+    },
+    /// Tests that take more memory than there is.
+    #[error(
+        "the work on {tests} tests needs about {} of memory, and {} are left", bytes_in_words(*needed), bytes_in_words(*available)
+    )]
+    MemoryOfTests {
+        /// Number of tests.
+        tests: u64,
+        /// Bytes that are needed.
+        needed: u64,
+        /// Bytes that are left.
+        available: u64,
     },
     /// There is no best plan.
     #[error("{0}")]
@@ -495,7 +513,11 @@ impl Failure {
                 "give a design with as many groups and tests as are wanted: new groups need names of their own"
             }
             Failure::PlanToDraw { .. } => {
-                "give the plan of `kalfit plan --candidates … --out`, and its candidates as `--design`"
+                "a plan of `kalfit plan --candidates … --out` for a model without levels goes with its candidates as `--design`"
+            }
+            Failure::RowsVariable { .. } => "set it to the most rows that a file may hold, or take it away",
+            Failure::MemoryOfTests { .. } => {
+                "leave results of single tests out (`--no-tests`), fit a part of the tests, or use `kalfit sums` on parts"
             }
             Failure::NoFreeParameter { .. } => {
                 "leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`"

@@ -115,6 +115,7 @@ fn known<'m>(
         None => *survey = DataSurvey::of(&spec.model),
     };
     let reductions = reductions::reduce_keeping(spec, &alpha, given, (work, &mut counted), &mut kept)?;
+    memory::suffices_for(reductions.len(), spec, job.choices.tests)?;
     let (mut record, population) = record(
         job,
         spec,

@@ -84,7 +84,7 @@ pub use job::{
     TableDestination, TestJob, ValidateJob,
 };
 pub use kalfit_spec::schema as model_schema;
-pub use memory::is_there as memory_is_there;
+pub use memory::{check_rows_variable, is_there as memory_is_there};
 pub use model::read as read_model;
 pub use output::{FileContents, OutputError, abandon};
 pub use plan::error::BestPlanError;

@@ -21,7 +21,6 @@ use crate::failure::Failure;
 use crate::job::{JobDone, SimulateJob, SimulatedEnsemble, files};
 use crate::output::{OutputFile, OutputTarget, PendingFile, finish_together};
 use crate::results::{self, PLAN};
-use crate::truth::error::TruthError;
 use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
@@ -71,8 +70,8 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<S
 
 /// The tests of the design, each as often as a plan has it.
 fn of_plan(spec: &Spec, tests: Vec<PhasedTest>, plan: &Document) -> Result<Vec<PhasedTest>, Failure> {
-    let record: PlanRecord = results::read(plan, PLAN).map_err(TruthError::from)?;
     let refused = |problem| Failure::PlanToDraw { path: plan.name(), problem };
+    let record: PlanRecord = results::read(plan, PLAN).map_err(|error| refused(error.to_string()))?;
     let best = record.best.ok_or_else(|| refused("it has no candidates".to_owned()))?;
     if !spec.model.levels.is_empty() {
         return Err(refused("the model has levels, whose groups need names of their own".to_owned()));

@@ -122,6 +122,11 @@ pub const KINDS: &[OptionWord<StateKind>] = &[
 pub const FIGURES: &[OptionWord<PlotKind>] = &[
     word("forest", PlotKind::Forest, "Means, standard deviations and free parameters with their 95 % intervals"),
     word("ellipses", PlotKind::Ellipses, "Each pair of states: the population, and the tests in it"),
+    word(
+        "tests",
+        PlotKind::Tests,
+        "Each test by itself and as part of the population, and the mean: a meta-analysis' forest plot",
+    ),
     word("influence", PlotKind::Influence, "How far the estimates move when a test is left out"),
     word("records", PlotKind::Records, "A test over time: measured and predicted values, innovations"),
     word("residuals", PlotKind::Residuals, "A test over time: innovations over their standard deviations"),

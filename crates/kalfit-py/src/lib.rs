@@ -36,6 +36,7 @@ mod _kalfit {
     #[pymodule_init]
     fn init(_: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         kalfit_data::keep_quiet_of_broken_files();
+        kalfit_job::check_rows_variable().map_err(|failure| crate::errors::exception(&failure))?;
         kalfit_job::fix_instructions(None).map_err(|failure| crate::errors::exception(&failure))
     }
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use kalfit_apply::plan::BestPlan;
-use kalfit_apply::plan::optimal::Kinds;
+use kalfit_apply::plan::optimal::{Kinds, MOST_TESTS};
 
 /// The best plan among candidates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -17,7 +17,7 @@ pub struct BestPlanRecord {
     pub cost: f64,
     /// All candidates, in the order of their names.
     pub candidates: Vec<CandidateRecord>,
-    /// log φ of the plan in whole numbers, in the user's units; larger is better.
+    /// log φ of the plan in whole numbers, in the user's units, by the logarithms of positive parameters; larger is better.
     pub log_phi: f64,
     /// log φ of the plan in any numbers.
     pub log_phi_relaxed: f64,
@@ -60,8 +60,9 @@ pub struct CandidateRecord {
     pub relaxed: f64,
     /// Number in the best plan in whole numbers.
     pub tests: usize,
-    /// ⟨G, F⟩ · budget / cost at the plan in any numbers: where nothing was known before, at most 1, and 1 for every
-    /// candidate of that plan that has room for more (the equivalence theorem of Kiefer and Wolfowitz).
+    /// ⟨G, F⟩ · budget / cost at the plan in any numbers: what a unit of cost for the candidate brings, times the budget. Where
+    /// nothing was known before and no number is limited, at most 1, and 1 for every candidate of that plan (the
+    /// equivalence theorem of Kiefer and Wolfowitz).
     pub sensitivity: f64,
 }
 
@@ -75,7 +76,7 @@ impl BestPlanRecord {
         let candidate = |(k, name): (usize, &String)| CandidateRecord {
             name: name.clone(),
             cost: kinds.costs[k],
-            most: Some(kinds.most[k]).filter(|most| most.is_finite()),
+            most: Some(kinds.most[k]).filter(|most| *most < MOST_TESTS),
             relaxed: best.relaxed.numbers[k],
             tests: best.whole.numbers[k].round() as usize,
             sensitivity: best.sensitivities[k],

@@ -6,6 +6,7 @@ use crate::cut::{BlockCut, phases_of};
 use crate::diagnosis::shortage_notes;
 use crate::directions::crossing_notes;
 use crate::few_tests;
+use crate::heterogeneity::HeterogeneityRecord;
 use crate::number::plain;
 use crate::own::{MOST_SINGLE_ESTIMATES, TestEstimate};
 use crate::phases::phases_and_levels;
@@ -17,7 +18,7 @@ use crate::{
 use kalfit_algebra::elements::Element;
 use kalfit_estimate::{Certificate, Combination, Counts, Criterion, Estimate, Solver, Stop};
 use kalfit_filter::reduce::Reductions;
-use kalfit_infer::{Deletion, Distance, Inference, IntervalKind, Sensitivity, StdErrors};
+use kalfit_infer::{Deletion, Distance, Inference, IntervalKind, Sensitivity, StdErrors, heterogeneity};
 use kalfit_model::Labels;
 use kalfit_model::{Alpha, PhasedModel, Slots};
 
@@ -96,6 +97,10 @@ impl FitRecord {
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
             df_method: few_tests::method(inference).map(str::to_owned),
+            heterogeneity: match slots {
+                None => heterogeneity(estimate, reductions).map(HeterogeneityRecord::from),
+                Some(_) => None,
+            },
             phases,
             levels,
             groups: Vec::new(),

@@ -17,6 +17,7 @@ mod exported;
 mod few_tests;
 mod figure;
 mod group_levels;
+mod heterogeneity;
 mod levels;
 mod misfit;
 mod model_check;
@@ -58,6 +59,7 @@ pub use estimates::{EstimatesRecord, FewTestsLawRecord};
 pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
 pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
 pub use group_levels::{LevelRecord, UnitRecord};
+pub use heterogeneity::HeterogeneityRecord;
 pub use levels::{LevelCounts, level_notes};
 pub use misfit::{MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
@@ -146,6 +148,9 @@ pub struct FitRecord {
     /// `reml`: `kenward-roger` or `satterthwaite`; absent where they are those of many tests.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub df_method: Option<String>,
+    /// How much tests differ beyond their noise; absent for models of several states, with levels or with free parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heterogeneity: Option<HeterogeneityRecord>,
     /// One entry per phase.
     pub phases: Vec<PhaseRecord>,
     /// The variation between groups of each level, the outermost level first, and last that between tests; empty

@@ -16,6 +16,8 @@ const MOST_NAMES: usize = 6;
 const MOST_LEFT_OUT: usize = 12;
 /// Quantile of the normal law at 97.5 %.
 const NORMAL: f64 = 1.959_963_984_540_054;
+/// Gap of the certificate at which a plan is as good as the best.
+const CERTIFIED: f64 = 1e-5;
 /// Correlations and covariances with a standard error of at least this share of their range are worth a word.
 const BADLY_KNOWN: f64 = 0.5;
 
@@ -30,16 +32,29 @@ pub(crate) fn summary(record: &PlanRecord, best: &BestPlanRecord, page: &PageLay
     let known = so_far.map_or_else(String::new, |name| page.paragraph(&format!("Known already: {}.", clean(name))));
     let from = page.paragraph(&format!("Population: {}.", clean(&record.from)));
     sections.push(page.paragraph(&about) + &from + &known);
-    sections.push(page.section("The best plan", &(candidates(best, page) + &page.items(&verdict(record, best)))));
+    sections
+        .push(page.section("The best plan", &(candidates(record, best, page) + &page.items(&verdict(record, best)))));
     let figures: Vec<&PlannedRecord> = record.quantities.iter().filter(|one| one.quantity != "covariance").collect();
     sections.push(page.section("Expected standard errors", &table(record, &figures, page)));
     sections.push(page.section("How to read this", &page.items(&notes(record, best))));
+    sections.push(
+        best.simulate.as_deref().map_or_else(String::new, |command| page.section("To simulate it", &lines(command))),
+    );
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
 }
 
+/// A command with an option on each line, as a shell takes it.
+fn lines(command: &str) -> String {
+    clean(command).split(" --").enumerate().fold(String::new(), |text, (k, part)| match k {
+        0 => format!("  {part}"),
+        _ => format!("{text} \\\n    --{part}"),
+    }) + "\n"
+}
+
 /// A row for each candidate of the plan, then the best of those left out.
-fn candidates(best: &BestPlanRecord, page: &PageLayout<'_>) -> String {
+fn candidates(record: &PlanRecord, best: &BestPlanRecord, page: &PageLayout<'_>) -> String {
+    let made = if has_levels(record) { "units" } else { "tests" };
     let is_chosen = |one: &&CandidateRecord| one.tests > 0 || one.relaxed > 0.005;
     let mut left_out: Vec<&CandidateRecord> = best.candidates.iter().filter(|one| !is_chosen(one)).collect();
     left_out.sort_by(|a, b| b.sensitivity.total_cmp(&a.sensitivity));
@@ -57,7 +72,7 @@ fn candidates(best: &BestPlanRecord, page: &PageLayout<'_>) -> String {
         columns.push(column("at most", ColumnSide::Right, &|one| one.most.map_or("-".to_owned(), |n| plain(n, 6))));
     }
     columns.push(column("relaxed", ColumnSide::Right, &|one| format!("{:.2}", one.relaxed)));
-    columns.push(column("tests", ColumnSide::Right, &|one| one.tests.to_string()));
+    columns.push(column(made, ColumnSide::Right, &|one| one.tests.to_string()));
     columns.push(column("sensitivity", ColumnSide::Right, &|one| format!("{:.3}", one.sensitivity)));
     page.table(&columns)
 }
@@ -68,16 +83,19 @@ fn verdict(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
     let hidden = best.candidates.iter().filter(|one| one.tests == 0 && one.relaxed <= 0.005).count();
     let mut said = vec![format!(
         "The plan has {} and costs {} of {}.",
-        count(tests, if record.quantities.iter().any(|one| one.level.is_some()) { "unit" } else { "test" }),
+        count(tests, if has_levels(record) { "unit" } else { "test" }),
         plain(best.cost, 6),
         plain(best.budget, 6)
     )];
     if let Some(one) = single(record, best) {
         let now = one.std_error_before.map_or("not known now".to_owned(), |error| format!("now {}", plain(error, 3)));
-        let after = one.std_error[0].map_or("not known".to_owned(), |error| plain(error, 3));
+        let after = one.std_error[0].map_or("not known".to_owned(), |error| plain(error * few_tests(one), 3));
         let least = match one.std_error[0].filter(|_| best.draws.is_none()) {
             Some(error) => {
-                format!(" No plan within the budget has less than {}.", plain(error * best.efficiency_bound.sqrt(), 3))
+                format!(
+                    " No plan within the budget has less than {}.",
+                    plain(error * few_tests(one) * best.efficiency_bound.sqrt(), 3)
+                )
             }
             None => String::new(),
         };
@@ -91,12 +109,16 @@ fn verdict(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
         ),
         false => format!("branch and bound was stopped after {}", count_branches(best.nodes)),
     };
-    let against = if best.draws.is_some() { "on average " } else { "" };
+    let against = if best.draws.is_some() { ", on average over the draws" } else { "" };
     said.push(format!(
-        "Its efficiency, in variances, is {against}at least {} % of that of any plan within the budget; {proof}. Certificate: gap {}.",
+        "Even with divided tests, no plan within the budget could have less than {} % of its variances{against}; {proof}. Certificate: gap \
+         {}.",
         plain(efficiency, 4),
         plain(best.gap.max(0.0), 1)
     ));
+    if best.gap > CERTIFIED {
+        said.push("The certificate does not hold: the plan may be far from the best.".to_owned());
+    }
     if hidden > MOST_LEFT_OUT {
         said.push(format!(
             "{} are left out; those with the largest sensitivities are shown.",
@@ -104,6 +126,10 @@ fn verdict(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
         ));
     }
     said
+}
+
+fn has_levels(record: &PlanRecord) -> bool {
+    record.quantities.iter().any(|one| one.level.is_some())
 }
 
 fn count_branches(nodes: usize) -> String {
@@ -145,20 +171,23 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], page: &PageLayout<'_>) ->
     }
     columns.push(column("planned", ColumnSide::Right, &|one| error(after(one))));
     if rows.iter().any(|one| one.df.is_some()) {
-        columns.push(column("df", ColumnSide::Right, &|one| one.df.map_or(String::new(), |df| plain(df, 3))));
+        columns.push(column("df", ColumnSide::Right, &|one| match one.df {
+            Some(df) if df < 1.0 => "< 1".to_owned(),
+            df => df.map_or(String::new(), |df| plain(df, 3)),
+        }));
     }
     page.table(&columns)
 }
 
 /// How much wider the interval of a mean is by Student's t than by the normal law.
 fn few_tests(one: &PlannedRecord) -> f64 {
-    one.df.and_then(|df| student_quantile(df, 0.975)).map_or(1.0, |quantile| quantile / NORMAL)
+    one.df.filter(|df| *df >= 1.0).and_then(|df| student_quantile(df, 0.975)).map_or(1.0, |quantile| quantile / NORMAL)
 }
 
 fn notes(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
     let mut notes = vec![
-        "Relaxed: the best plan if tests could be divided. Sensitivity: how much one more unit of cost for a candidate brings, \
-         with all cost together as 1: candidates of the plan have the largest."
+        "Relaxed: the best plan if tests could be divided. Sensitivity: what the next unit of cost brings if it goes to a \
+         candidate, times the budget; of candidates whose number is not limited, those of the relaxed plan have the largest."
             .to_owned(),
         "Standard errors come from the expected information at the values given.".to_owned(),
     ];
@@ -200,8 +229,5 @@ fn notes(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {
     }
     notes
         .push("With few tests, estimates scatter more than this: simulate the plan and fit what was drawn.".to_owned());
-    if let Some(command) = &best.simulate {
-        notes.push(format!("`{}`", clean(command)));
-    }
     notes
 }

@@ -53,9 +53,14 @@ impl Coordinate {
         if self.log { value } else { 1.0 }
     }
 
+    /// Size of a value in its coordinate: 1 for a logarithm.
+    pub fn size(&self, value: f64) -> f64 {
+        if self.log { 1.0 } else { value.abs().max(MIN_REFERENCE_VALUE) }
+    }
+
     /// Length of a step in the coordinate: `part` for a logarithm, `part` × the size of another value.
     pub fn step(&self, value: f64, part: f64) -> f64 {
-        if self.log { part } else { part * value.abs().max(MIN_REFERENCE_VALUE) }
+        part * self.size(value)
     }
 
     /// The value after a step in the coordinate, within bounds.

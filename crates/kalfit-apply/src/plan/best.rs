@@ -13,6 +13,10 @@ use kalfit_infer::dynamic::UnitInformation;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::Slots;
 
+/// Least eigenvalue of the products of unit derivatives of figures that are known together.
+const DEPENDENT: f64 = 1e-10;
+/// Degrees of freedom beyond which a mean's law is normal.
+const MANY_DEGREES: f64 = 1e6;
 /// Part of one test of each candidate that makes the information of a plan regular.
 const LITTLE: f64 = 1e-4;
 
@@ -61,6 +65,10 @@ pub enum NoPlan {
         /// The cost of the cheapest.
         cheapest: f64,
     },
+    /// The figures that are to be known together depend on each other.
+    Dependent,
+    /// The model leaves nothing free that could be asked for.
+    NothingFree,
     /// No plan in whole numbers within the budget determines what is to be known.
     TooLittle,
 }
@@ -162,6 +170,20 @@ impl CandidateInformation {
         figures.iter().map(|&figure| range.variance(&self.gradient(figure)).map(f64::sqrt)).collect()
     }
 
+    /// The coordinates that candidates inform, or that are known already. Each candidate counts by the size of its own
+    /// information: how many tests of it there are makes no difference to what it informs.
+    fn range(&self) -> Range {
+        let one_of_each = self.of_plan(&vec![1.0; self.candidates.units.len()]);
+        let sizes: Vec<f64> = one_of_each.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
+        let sized = |information: &DMatrix<f64>| {
+            let of = |i: usize| if sizes[i] > 0.0 { information[(i, i)] / (sizes[i] * sizes[i]) } else { 0.0 };
+            let largest = (0..sizes.len()).map(of).fold(0.0, f64::max);
+            if largest > 0.0 { information / largest } else { information.clone() }
+        };
+        let all = self.candidates.units.iter().chain([&self.so_far]).map(|unit| sized(&self.free(unit)));
+        Range::of(&all.fold(DMatrix::zeros(sizes.len(), sizes.len()), |sum, one| sum + one))
+    }
+
     /// Standard errors that one test of each candidate, with what is there already, would give: sizes to compare figures
     /// with before there is a plan.
     pub fn one_of_each(&self, figures: &[Figure]) -> Vec<Option<f64>> {
@@ -217,7 +239,7 @@ impl CandidateInformation {
             let g = of_sigma.tr_mul(&slopes);
             let variance = g.dot(&(&inverse * &g));
             // V is that of maximum likelihood, which does not allow for the estimated mean
-            Some(2.0 * c * c / variance * (tests - 1.0) / tests).filter(|df| df.is_finite())
+            Some(2.0 * c * c / variance * (tests - 1.0) / tests).filter(|df| *df < MANY_DEGREES)
         };
         figures.iter().map(of).collect()
     }
@@ -273,13 +295,15 @@ pub fn best_plan(
     if cheapest > kinds.budget * (1.0 + 1e-12) {
         return Err(NoPlan::Budget { cheapest });
     }
-    let largest = |k: usize| kinds.most[k].min(kinds.budget / kinds.costs[k]);
-    let range = Range::of(&first.of_plan(&(0..kinds.costs.len()).map(largest).collect::<Vec<_>>()));
+    let range = first.range();
     let wanted: Vec<Figure> = match goal {
         Goal::All => figures.to_vec(),
         Goal::Figures(own) => own.iter().map(|(figure, _)| *figure).collect(),
         Goal::FiguresTogether(own) => own.clone(),
     };
+    if wanted.is_empty() || range.dimension() == 0 {
+        return Err(NoPlan::NothingFree);
+    }
     let gradients: Vec<DVector<f64>> = wanted.iter().map(|&figure| first.gradient(figure)).collect();
     if let Some(fixed) = gradients.iter().position(|gradient| gradient.amax() == 0.0).filter(|_| *goal != Goal::All) {
         return Err(NoPlan::Fixed(wanted[fixed]));
@@ -288,6 +312,9 @@ pub fn best_plan(
     let uninformed: Vec<Figure> = (0..wanted.len()).filter(is_uninformed).map(|at| wanted[at]).collect();
     if !uninformed.is_empty() {
         return Err(NoPlan::Uninformed(uninformed));
+    }
+    if matches!(goal, Goal::FiguresTogether(_)) && !are_independent(&gradients) {
+        return Err(NoPlan::Dependent);
     }
     let scenario = |own: &CandidateInformation| {
         let map = &own.candidates.jacobian * range.map();
@@ -329,6 +356,14 @@ pub fn best_plan(
         whole,
         offset,
     })
+}
+
+/// Whether no combination of the derivatives of figures vanishes.
+fn are_independent(gradients: &[DVector<f64>]) -> bool {
+    let units: Vec<DVector<f64>> = gradients.iter().map(|gradient| gradient / gradient.norm()).collect();
+    let columns = DMatrix::from_columns(&units);
+    let values = columns.tr_mul(&columns).symmetric_eigenvalues();
+    values.min() > DEPENDENT
 }
 
 /// The criterion at one set of parameters, in the coordinates of the range.

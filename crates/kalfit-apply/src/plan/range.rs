@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 /// Eigenvalues of the information, scaled to unit diagonal, below this threshold count as zero.
-const LEAST_EIGENVALUE: f64 = 1e-10;
+const LEAST_EIGENVALUE: f64 = 1e-11;
 /// Part of a figure's derivatives outside the range beyond which the figure is not determined.
 const MOST_OUTSIDE: f64 = 1e-6;
 
@@ -24,6 +24,10 @@ impl Range {
         let sizes: Vec<f64> = information.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
         let reciprocal = |size: f64| if size > 0.0 { size.recip() } else { 0.0 };
         let d = sizes.len();
+        if d == 0 {
+            let none = DMatrix::zeros(0, 0);
+            return Range { map: none.clone(), sizes, vectors: none, eigenvalues: Vec::new() };
+        }
         let scaled = DMatrix::from_fn(d, d, |i, j| information[(i, j)] * reciprocal(sizes[i]) * reciprocal(sizes[j]));
         let eigen = scaled.symmetric_eigen();
         let kept: Vec<usize> = (0..d).filter(|&k| eigen.eigenvalues[k] > LEAST_EIGENVALUE).collect();

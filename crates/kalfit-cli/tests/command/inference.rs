@@ -89,6 +89,9 @@ fn standard_errors_say_what_they_are_made_of() {
       effect  0.28 ± 0.19    0.185 ± 0.076
       With 13 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
         --criterion reml allows for that.
+      Spread of effect between tests: I² = 49.3 % of the variance of typical
+        estimates, H² = 1.97. Cochran's Q = 30.73 with 11 degrees of freedom: p =
+        0.001.
     ");
     assert_snapshot!(summary("sandwich"), @"
     Initial state over the tests (± sandwich standard error)
@@ -96,6 +99,9 @@ fn standard_errors_say_what_they_are_made_of() {
       effect  0.28 ± 0.16     0.19 ± 0.11
       With 13 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
         --criterion reml allows for that.
+      Spread of effect between tests: I² = 49.3 % of the variance of typical
+        estimates, H² = 1.97. Cochran's Q = 30.73 with 11 degrees of freedom: p =
+        0.001.
     ");
 }
 

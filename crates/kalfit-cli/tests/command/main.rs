@@ -18,6 +18,7 @@ mod generated;
 mod golden;
 mod groups;
 mod help;
+mod heterogeneity;
 mod hints;
 mod hypotheses;
 mod inference;

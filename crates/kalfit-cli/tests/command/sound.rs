@@ -288,6 +288,9 @@ fn vaccine_trials_with_a_regression() {
       effect  0.28 ± 0.19     0.19 ± 0.11
       With 13 tests, ± 1.96 standard errors hold the mean about 91 % of the time;
         --criterion reml allows for that.
+      Spread of effect between tests: I² = 49.3 % of the variance of typical
+        estimates, H² = 1.97. Cochran's Q = 30.73 with 11 degrees of freedom: p =
+        0.001.
 
       mean of  per unit of  coefficient
       effect   latitude         -0.0295 ± 0.0055

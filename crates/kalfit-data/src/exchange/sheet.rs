@@ -21,11 +21,12 @@ use crate::cell::shown;
 use crate::columns::{FileColumns, nearest};
 use crate::error::DataError;
 use crate::kind::PARQUET;
+use crate::most_rows::most_rows;
 use crate::place::CellPlace;
 use crate::table::arrays::{NumberArray, TextArray, is_numeric, misfit};
 use crate::table::guard::guarded;
 use crate::table::parquet::survey::{RowGroupSurvey, survey};
-use crate::table::parquet::{ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized, unless_encrypted};
+use crate::table::parquet::{refuse_codecs, refuse_oversized, unless_encrypted};
 
 /// Rows decoded at a time: they may hold matrices.
 const ROWS: usize = 256;
@@ -112,7 +113,7 @@ pub(super) fn open<R: ChunkReader>(file: &str, bytes: R) -> Result<OpenParquet<R
 
 /// Lists can declare as many elements in a few bytes as rows can.
 fn refuse_long_lists(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Result<(), DataError> {
-    let limit = bytes.saturating_mul(ROWS_PER_BYTE).saturating_add(ROWS_FREE);
+    let limit = most_rows(bytes);
     for group in metadata.row_groups() {
         for chunk in group.columns() {
             let declared = u64::try_from(chunk.num_values()).unwrap_or(u64::MAX);

@@ -60,6 +60,7 @@ impl FuzzCorpus {
                     format!("check @ {data}"),
                     format!("fit @ {data} --max-iterations 30 --out out.json --report out.html"),
                     format!("simulate @ --from fit.json --design {data} --seed 1 --out out.csv"),
+                    "export @ --from fit.json --as c --out out.h".to_owned(),
                 ],
             ),
             (
@@ -71,6 +72,7 @@ impl FuzzCorpus {
                     format!("check {model} @"),
                     format!("fit {model} @ --max-iterations 30 --out out.json --tests out.parquet"),
                     format!("apply {model} @ --from fit.json --out out.csv"),
+                    format!("plan {model} --from fit.json --candidates @ --budget 3 --out out.json"),
                 ],
             ),
             ("Parquet", DamageKind::Bytes, "d.parquet", "drawn.parquet".to_owned(), vec![format!("check {model} @")]),
@@ -87,6 +89,9 @@ impl FuzzCorpus {
                     format!("predict {model} --from @ --design {data} --out out.parquet"),
                     format!("simulate {model} --from @ --design {data} --seed 1 --out out.csv"),
                     format!("plan {model} --from @ --design {data} --tests 5,10 --out out.json"),
+                    format!("plan {model} --from @ --candidates {data} --budget 3 --with @ --out out.json"),
+                    format!("export {model} --from @ --as c --out out.h"),
+                    format!("export {model} --from @ --as json --out out.json"),
                 ],
             ),
         ];
@@ -94,6 +99,22 @@ impl FuzzCorpus {
         if self.make(&folder, &format!("reduce {model} {data} --out r.parquet")).is_ok() {
             let line = format!("fit {model} @ --max-iterations 30 --out out.json");
             subjects.push(("exchange", DamageKind::Bytes, "r.parquet", "r.parquet".to_owned(), vec![line]));
+        }
+        // not of models in phases
+        if self.make(&folder, &format!("sums {model} {data} --out site.sums")).is_ok() {
+            let lines =
+                vec![format!("join {model} @ --out out.json"), format!("join {model} @ site.sums --out out.json")];
+            subjects.push(("sums", DamageKind::Json, "s.sums", "site.sums".to_owned(), lines));
+        }
+        if self
+            .make(&folder, &format!("plan {model} --from fit.json --candidates {data} --budget 3 --out plan.json"))
+            .is_ok()
+        {
+            let lines = vec![
+                format!("simulate {model} --from fit.json --design {data} --plan @ --seed 1 --out out.csv"),
+                "plot @ --what sensitivities --out out.svg".to_owned(),
+            ];
+            subjects.push(("plan", DamageKind::Json, "plan.json", "plan.json".to_owned(), lines));
         }
         for (kind, damage, name, file, lines) in subjects {
             let place = folder.join(&file);

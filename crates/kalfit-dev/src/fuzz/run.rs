@@ -39,6 +39,8 @@ pub(super) struct FinishedRun {
     complained: String,
     /// Names of files that were not there before.
     files: Vec<String>,
+    /// What a compiler says of an exported header, where there is one and it is not sound C.
+    compiler: Option<String>,
 }
 
 impl FinishedRun {
@@ -58,6 +60,9 @@ impl FinishedRun {
         }
         if self.ended == RunEnd::Status(2) && !self.files.is_empty() {
             return Some(format!("it ended with status 2 and left {}", self.files.join(", ")));
+        }
+        if let Some(complaint) = &self.compiler {
+            return Some(format!("it exported what is no C\n{complaint}"));
         }
         let torn = self.files.iter().find(|name| name.contains("kalfit-"));
         torn.map(|name| format!("it left the temporary file {name}"))
@@ -108,10 +113,19 @@ pub(super) fn run(
     let names = std::fs::read_dir(folder).map_err(failed)?;
     let names = names.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
     let files: Vec<String> = names.collect::<std::io::Result<Vec<_>>>().map_err(failed)?;
-    let files = files.into_iter().filter(|name| name != subject.name).collect();
+    let files: Vec<String> = files.into_iter().filter(|name| name != subject.name).collect();
+    let header = files.iter().find(|name| name.ends_with(".h"));
+    let compiler = header.and_then(|name| refused_by_compiler(&folder.join(name)));
     std::fs::remove_dir_all(folder).map_err(failed)?;
     [out, err].iter().try_for_each(std::fs::remove_file).map_err(failed)?;
-    Ok(FinishedRun { ended, seconds, said, complained, files })
+    Ok(FinishedRun { ended, seconds, said, complained, files, compiler })
+}
+
+/// What gcc says of a header with all warnings as errors; `None` where it is content, or where there is no gcc.
+fn refused_by_compiler(header: &Path) -> Option<String> {
+    let arguments = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-Wno-unused-variable", "-fsyntax-only", "-x", "c"];
+    let output = Command::new("gcc").args(arguments).arg(header).output().ok()?;
+    (!output.status.success()).then(|| String::from_utf8_lossy(&output.stderr).chars().take(600).collect())
 }
 
 fn ended(status: ExitStatus) -> RunEnd {

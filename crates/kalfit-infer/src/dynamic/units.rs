@@ -25,6 +25,12 @@ use kalfit_filter::score::InitialLaw;
 use kalfit_model::{Alpha, Grouping, PhasedModel, PhasedTest, Population, Reduction, Slots};
 use kalfit_search::{Coordinate, DynamicError, ProfileLikelihood, Settings};
 
+/// Information of a unit about a free value of α, in units of its size, that counts as none: a standard error of 10 000 times
+/// the value.
+const LEAST_INFORMATION: f64 = 1e-8;
+/// Rounding of a derivative whose terms cancel, as a part of the terms.
+const CANCELLED: f64 = 1e-11;
+
 /// Expected information of units of tests at a population, in the user's units: about the free values of α, in the
 /// coordinates in which they are sought, then μ, coefficients, and the elements of Σ.
 #[derive(Debug, Clone)]
@@ -139,7 +145,15 @@ fn with_values(
     let chosen: Vec<&[GroupedTest<'_>]> = units.iter().map(Vec::as_slice).collect();
     let Some(found) = of_each_unit(&chosen, k, &pairs, (&laws, &elsewhere, &law), progress)? else { return Ok(None) };
     let to_eta = state.user_to_eta();
-    let whole = |([of_values, with_elements], own): ([DMatrix<f64>; 2], DMatrix<f64>)| {
+    let sizes: Vec<f64> = (0..k).map(|s| objective.coordinates[s].size(values[s])).collect();
+    let whole = |([mut of_values, mut with_elements], own): ([DMatrix<f64>; 2], DMatrix<f64>)| {
+        // differences of a filter that does not change leave rounding
+        let is_none = |a: &usize| of_values[(*a, *a)] * sizes[*a] * sizes[*a] < LEAST_INFORMATION;
+        for a in (0..k).filter(is_none).collect::<Vec<_>>() {
+            of_values.row_mut(a).fill(0.0);
+            of_values.column_mut(a).fill(0.0);
+            with_elements.row_mut(a).fill(0.0);
+        }
         let n = own.nrows();
         let mut all = DMatrix::zeros(k + n, k + n);
         let cross = with_elements * &to_eta;
@@ -194,9 +208,16 @@ impl UnitInformation {
     /// Derivatives of an element of (μ, Σ), a coefficient, a standard deviation or a correlation by the coordinates; zero
     /// where the model fixes the quantity, and where it has no derivative because a variance is zero.
     pub fn gradient(&self, quantity: Holdable) -> DVector<f64> {
-        let own = AsymptoticLaw::new(&self.state).derivative(&self.population.covariance, quantity);
+        let law = AsymptoticLaw::new(&self.state);
         let mut gradient = DVector::zeros(self.jacobian.ncols());
-        gradient.rows_mut(self.values.len(), own.len()).copy_from(&own);
+        let Some(weights) = law.weights_of(&self.population.covariance, quantity) else { return gradient };
+        for (column, entries) in law.jacobian().columns().enumerate() {
+            let terms = entries.iter().map(|&(row, x)| x * weights[row]);
+            let [sum, size] = terms.fold([0.0, 0.0f64], |[sum, size], x| [sum + x, size + x.abs()]);
+            if sum.abs() > CANCELLED * size {
+                gradient[self.values.len() + column] = sum;
+            }
+        }
         gradient
     }
 

@@ -1,9 +1,9 @@
 //! Candidates: the tests, or units of the outermost level, of a table, with cost and largest number of each.
 
 use kalfit::model::Column;
-use kalfit::plan::optimal::Kinds;
-use kalfit::{Evidence, Labels, PhasedModel, PhasedTest};
-use kalfit_data::{DataError, DataReading, Datum};
+use kalfit::plan::optimal::{Kinds, MOST_TESTS};
+use kalfit::{Evidence, Label, Labels, PhasedModel, PhasedTest};
+use kalfit_data::{DataError, DataReading, Datum, Input};
 use kalfit_spec::Spec;
 
 use crate::evidence::CommandInputs;
@@ -42,22 +42,37 @@ pub(super) fn read(
         match tests::read_for(spec, &model, given, work) {
             Ok((tests, reading)) => return Ok(ReadCandidates { tests, reading, columns }),
             Err(failure) => {
-                // a column that nobody named may be absent
+                // a column that nobody named may be absent, but not from one of several files
                 let absent = |name: &Option<(String, bool)>| match (name, &failure) {
                     (Some((name, false)), Failure::Data { error, .. }) => {
                         matches!(&**error, DataError::MissingColumn { column, .. } if column == name)
                     }
                     _ => false,
                 };
-                match names.iter().position(absent) {
-                    Some(at) if !given.inputs.iter().any(|input| matches!(input, kalfit_data::Input::Stdin)) => {
-                        names[at] = None
-                    }
-                    _ => return Err(failure),
+                let Some(at) = names.iter().position(absent) else { return Err(failure) };
+                let column = names[at].take().map_or_else(String::new, |(name, _)| name);
+                if given.inputs.iter().any(|input| matches!(input, Input::Stdin)) {
+                    return Err(Failure::BestPlan(Box::new(BestPlanError::Stdin { column })));
+                }
+                if given.inputs.len() > 1 && is_in_some(spec, &column, given, work)? {
+                    return Err(failure);
                 }
             }
         }
     }
+}
+
+/// Whether some of several files has a column.
+fn is_in_some(spec: &Spec, column: &str, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<bool, Failure> {
+    for input in &given.inputs {
+        let (model, _) = with_columns(&spec.model, &[Some((column.to_owned(), true)), None]);
+        match tests::read_for(spec, &model, &CommandInputs::rows_of(vec![input.clone()]), work) {
+            Ok(_) => return Ok(true),
+            Err(Failure::Interrupted) => return Err(Failure::Interrupted),
+            Err(_) => {}
+        }
+    }
+    Ok(false)
 }
 
 /// The model with columns of texts for costs and numbers.
@@ -89,42 +104,42 @@ impl ReadCandidates {
         let numbers = |which: usize, otherwise: f64, expected, is_possible: &dyn Fn(f64) -> bool| {
             let Some((column, place)) = &self.columns[which] else { return Ok(vec![otherwise; names.len()]) };
             let of = |(name, members): (&String, &Vec<usize>)| {
-                let text = self.text((name, members), (column, *place), labels)?;
-                match text.trim() {
+                let read = |text: &str| match text.trim() {
                     "" if which == 1 => Ok(otherwise),
                     text => text.parse().ok().filter(|number| is_possible(*number)).ok_or_else(|| {
                         let (candidate, column, found) = (name.clone(), column.clone(), text.to_owned());
                         BestPlanError::Number { candidate, column, found, expected }
                     }),
+                };
+                let mut first: Option<(&str, f64)> = None;
+                for text in self.texts(members, *place, labels) {
+                    let number = read(text)?;
+                    match first {
+                        Some((other, found)) if found != number => {
+                            let (candidate, column) = (name.clone(), column.clone());
+                            let (first, second) = (other.to_owned(), text.to_owned());
+                            return Err(BestPlanError::Varies { candidate, column, first, second });
+                        }
+                        _ => first = Some((text, number)),
+                    }
                 }
+                Ok(first.map_or(otherwise, |(_, number)| number))
             };
             names.iter().zip(members).map(of).collect::<Result<Vec<f64>, _>>()
         };
         let costs = numbers(0, 1.0, "a number above zero", &|cost| cost > 0.0 && cost.is_finite())?;
-        let is_whole = |most: f64| most >= 0.0 && most == most.floor() && most <= 1e9;
+        let is_whole = |most: f64| most >= 0.0 && most == most.floor() && most.is_finite();
         let most = numbers(1, f64::INFINITY, "a whole number, or nothing where there is no limit", &is_whole)?;
+        let most = most.into_iter().map(|most| most.min(MOST_TESTS)).collect();
         Ok(Kinds { costs, most, budget })
     }
 
-    /// The text that all rows of a candidate have in a column.
-    fn text(
-        &self,
-        (name, members): (&String, &[usize]),
-        (column, place): (&str, usize),
-        labels: &Labels,
-    ) -> Result<String, BestPlanError> {
+    /// The texts that the rows of a candidate have in a column, each once in a row.
+    fn texts<'a>(&self, members: &[usize], place: usize, labels: &'a Labels) -> Vec<&'a str> {
         let rows = members.iter().flat_map(|&at| self.tests[at].phases.iter().filter_map(Evidence::cells));
-        let mut texts = rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row)[place]));
-        let Some(first) = texts.next() else { return Ok(String::new()) };
-        match texts.find(|other| *other != first) {
-            Some(other) => Err(BestPlanError::Varies {
-                candidate: name.clone(),
-                column: column.to_owned(),
-                first: labels.text(first).to_owned(),
-                second: labels.text(other).to_owned(),
-            }),
-            None => Ok(labels.text(first).to_owned()),
-        }
+        let mut found: Vec<Label> = rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row)[place])).collect();
+        found.dedup();
+        found.into_iter().map(|label| labels.text(label)).collect()
     }
 }
 

@@ -67,6 +67,9 @@ pub(super) fn choose(
             work.say(|| format!("information at draw {} of {}", scenarios.len(), draws.0));
             scenarios.extend(planned.at(&own, (&read, &slots), &before, &mut work)?);
         }
+        if scenarios.len() == 1 {
+            return Err(refused_plan(BestPlanError::NoDraws));
+        }
     }
     work.say(|| "choosing the best plan".to_owned());
     work.go_on()?;
@@ -299,17 +302,23 @@ fn figures(planned: &Planned<'_>, slots: &Slots, found: &UnitInformation) -> Fig
         .chain(elements.iter().filter(|(i, j)| i == j).map(|&(i, _)| Quantity::StdDev(i)))
         .chain(off_diagonal().map(|&(i, j)| Quantity::Correlation(i, j)))
         .chain(elements.iter().map(|&(i, j)| Quantity::Covariance(i, j)));
-    let is_free = |quantity: &Quantity| found.gradient(*quantity).amax() > 0.0;
+    let (free, fixed): (Vec<Quantity>, Vec<Quantity>) =
+        quantities.partition(|quantity| found.gradient(*quantity).amax() > 0.0);
     let all: Vec<Figure> =
-        quantities.filter(is_free).map(Figure::Quantity).chain((0..slots.slots().len()).map(Figure::Value)).collect();
+        free.into_iter().map(Figure::Quantity).chain((0..slots.slots().len()).map(Figure::Value)).collect();
     let parameters = parameter_names(planned, slots);
     let several = !planned.free.is_single();
-    let name = |&figure: &Figure| {
+    let name = |figure: Figure| {
         let bare = PlannedFigure { figure, value: None, before: None, after: None, df: None, informed_by: None };
         PlannedRecord::of_figure((planned.free, &parameters), &bare).name(several)
     };
-    let names = all.iter().map(name).collect();
-    Figures { all, names }
+    let known = planned.free.shared().parameters.iter().map(|own| own.name.clone());
+    Figures {
+        names: all.iter().map(|figure| name(*figure)).collect(),
+        fixed: fixed.into_iter().map(|quantity| name(Figure::Quantity(quantity))).collect(),
+        known: known.filter(|name| !parameters.contains(name)).collect(),
+        all,
+    }
 }
 
 fn refuse_too_many(found: &UnitInformation, request: &BestPlanRequest) -> Result<(), Failure> {
@@ -346,7 +355,13 @@ fn with_so_far(
         Some(SoFar::Fit(document)) => {
             let record: kalfit::FitRecord = results::read(document, FIT).map_err(TruthError::from)?;
             let knowledge = record.knowledge(planned.free);
-            let knowledge = knowledge.ok_or_else(|| refused_plan(BestPlanError::NoErrors { path: document.name() }))?;
+            let path = document.name();
+            let knowledge = knowledge.ok_or_else(|| {
+                refused_plan(match record.estimates {
+                    Some(_) => BestPlanError::OtherModel { path },
+                    None => BestPlanError::NoErrors { path },
+                })
+            })?;
             Before::Fit(Box::new(knowledge))
         }
     };
@@ -362,6 +377,8 @@ fn in_words(error: NoPlan, figures: &Figures, (goal, request): (&Goal, &BestPlan
             of_all: *goal == Goal::All,
         },
         NoPlan::Budget { cheapest } => BestPlanError::Budget { budget, cheapest },
+        NoPlan::Dependent => BestPlanError::Dependent { goal: request.goal.trim().to_owned() },
+        NoPlan::NothingFree => BestPlanError::NothingFree { goal: request.goal.trim().to_owned() },
         NoPlan::TooLittle => {
             let what = if *goal == Goal::All { "all that the model leaves free" } else { request.goal.trim() };
             BestPlanError::TooLittle { budget, what: what.to_owned() }

@@ -44,6 +44,39 @@ pub enum BestPlanError {
         /// The figure.
         figure: String,
     },
+    /// A figure that a plan takes as known.
+    #[error("the plan takes {figure} as known")]
+    Known {
+        /// The figure.
+        figure: String,
+    },
+    /// Figures that are to be known together depend on each other.
+    #[error("the figures of `{goal}` depend on each other: they have no determinant")]
+    Dependent {
+        /// What was asked for.
+        goal: String,
+    },
+    /// There is nothing to plan for.
+    #[error("the model leaves nothing free that `{goal}` asks for")]
+    NothingFree {
+        /// What was asked for.
+        goal: String,
+    },
+    /// Standard input without a column that has a default.
+    #[error("standard input has no column `{column}`, and it can be read only once")]
+    Stdin {
+        /// The column.
+        column: String,
+    },
+    /// All draws contradict the model.
+    #[error("no draw can be used: the model fixes elements of the covariance that draws would move")]
+    NoDraws,
+    /// Results of another model.
+    #[error("`{path}` has the covariance of other estimates: it is a fit of another model")]
+    OtherModel {
+        /// The file.
+        path: String,
+    },
     /// No candidate informs some figures.
     #[error("no candidate informs {}, and nothing is known of {} yet", listed(figures), if figures.len() == 1 { "it" } else { "them" })]
     Uninformed {
@@ -110,7 +143,7 @@ impl BestPlanError {
     pub fn hint(&self) -> Option<String> {
         Some(match self {
             BestPlanError::Number { .. } | BestPlanError::Varies { .. } => {
-                "`--cost` and `--most` name columns that hold one number for each candidate".to_owned()
+                "the columns of `--cost` and `--most` hold one number in all rows of a candidate".to_owned()
             }
             BestPlanError::UnknownFigure { found, known } => {
                 match kalfit_spec::nearest(found, known.iter().map(String::as_str)) {
@@ -118,6 +151,16 @@ impl BestPlanError {
                     None => format!("give `D`, `A`, or figures: {}", listed(known)),
                 }
             }
+            BestPlanError::Known { .. } => {
+                "parameters with a value for each level of a column, those given by `--set`, and those that the covariance depends on \
+                 are taken as known"
+                    .to_owned()
+            }
+            BestPlanError::Dependent { .. } => "leave one of them out, or name them without `D(…)`".to_owned(),
+            BestPlanError::NothingFree { .. } => "free a mean, covariance or parameter in the model".to_owned(),
+            BestPlanError::Stdin { .. } => "put the table in a file, or name a column by `--cost` or `--most`".to_owned(),
+            BestPlanError::NoDraws => "leave `--draws` out".to_owned(),
+            BestPlanError::OtherModel { .. } => "give a fit of this model, or the tests that were made".to_owned(),
             BestPlanError::Fixed { .. } => "name another figure, or free this one in the model".to_owned(),
             BestPlanError::Uninformed { of_all: true, .. } => {
                 "name by `--for` what is to be known, such as `--for \"sd(bias)\"`, or add a candidate that informs them"

@@ -9,6 +9,10 @@ use crate::plan::error::BestPlanError;
 pub(super) struct Figures {
     pub(super) all: Vec<Figure>,
     pub(super) names: Vec<String>,
+    /// Names of figures that the model fixes.
+    pub(super) fixed: Vec<String>,
+    /// Names of parameters that are taken as known.
+    pub(super) known: Vec<String>,
 }
 
 impl Figures {
@@ -26,9 +30,17 @@ impl Figures {
         let is_named = |name: &String| {
             plain(name) == plain(text) || turned(name).is_some_and(|turned| plain(&turned) == plain(text))
         };
-        let at = self.names.iter().position(is_named);
-        at.map(|at| self.all[at])
-            .ok_or_else(|| BestPlanError::UnknownFigure { found: text.trim().to_owned(), known: self.names.clone() })
+        if let Some(at) = self.names.iter().position(is_named) {
+            return Ok(self.all[at]);
+        }
+        let figure = || text.trim().to_owned();
+        Err(if self.fixed.iter().any(is_named) {
+            BestPlanError::Fixed { figure: figure() }
+        } else if self.known.iter().any(is_named) {
+            BestPlanError::Known { figure: figure() }
+        } else {
+            BestPlanError::UnknownFigure { found: figure(), known: self.names.clone() }
+        })
     }
 
     fn each(&self, text: &str) -> Result<Vec<Figure>, BestPlanError> {
@@ -98,11 +110,12 @@ mod tests {
         let all =
             vec![Figure::Quantity(Quantity::Mean(0)), Figure::Quantity(Quantity::Correlation(1, 0)), Figure::Value(0)];
         let names = ["mean(bias)", "corr(bias, scale)", "tau"].map(str::to_owned).to_vec();
-        let figures = Figures { all: all.clone(), names };
+        let figures = Figures { all: all.clone(), names, fixed: vec!["sd(bias)".to_owned()], known: Vec::new() };
         let found = figures.each(" corr( scale,bias ), mean(bias),tau").expect("all are there");
         assert_eq!(found, [all[1], all[0], all[2]]);
         let unknown = figures.each("mean(bais)").expect_err("there is none");
         assert_eq!(unknown.hint().as_deref(), Some("did you mean `mean(bias)`?"));
+        assert!(matches!(figures.each("sd( bias )"), Err(BestPlanError::Fixed { .. })));
         assert_eq!(parts("a(b, c), d"), ["a(b, c)", " d"]);
     }
 }

@@ -6,6 +6,7 @@
 mod allan;
 mod axis;
 mod canvas;
+mod each_test;
 mod ellipses;
 mod error;
 mod forest;
@@ -23,6 +24,7 @@ pub use crate::plot::error::PlotError;
 pub use crate::plot::picture::PlotFormat;
 
 use crate::plot::allan::AllanPlot;
+use crate::plot::each_test::TestsPlot;
 use crate::plot::ellipses::EllipsePlot;
 use crate::plot::forest::ForestPlot;
 use crate::plot::influence::InfluencePlot;
@@ -40,6 +42,8 @@ pub enum PlotKind {
     Forest,
     /// Each pair of states: the population, and the tests in it.
     Ellipses,
+    /// Each test by itself and as part of the population, and the mean: the forest plot of a meta-analysis.
+    Tests,
     /// How far the estimates move when a test is left out.
     Influence,
     /// A test along its record: measured and predicted values, innovations.
@@ -77,6 +81,7 @@ pub fn plot(
     match what {
         PlotKind::Forest => ForestPlot::of(record)?.put(&record.title, format, width),
         PlotKind::Ellipses => EllipsePlot::of(record)?.put(&record.title, format, width),
+        PlotKind::Tests => TestsPlot::of(record)?.put(&record.title, format, width),
         PlotKind::Influence => InfluencePlot::of(record)?.put(&record.title, format, width),
         PlotKind::Records => records(RecordPanels::Values),
         PlotKind::Residuals => records(RecordPanels::Innovations),

@@ -38,7 +38,7 @@ impl DrawablePlot for SensitivityPlot<'_> {
         let all = self.best.candidates.len();
         let which = if all > MOST { format!("{MOST} of {}", count(all, "candidate")) } else { count(all, "candidate") };
         format!(
-            "What the budget brings if all of it went to one candidate, at the best plan for {}: {which}. Orange: in the plan",
+            "What the next unit of cost brings by each candidate, times the budget, at the best plan for {}: {which}. Orange: in the plan",
             clean(&self.best.criterion)
         )
     }

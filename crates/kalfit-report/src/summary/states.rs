@@ -5,7 +5,7 @@ use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord,
 
 use super::combination::covariance_of;
 use super::{few_tests, levels, places};
-use crate::number::FigurePrecision;
+use crate::number::{FigurePrecision, p_value, plain};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn, wide_table};
 use crate::words::clean;
@@ -53,8 +53,24 @@ pub(crate) fn section(
         columns.insert(5, TextColumn::new("95 % interval", ColumnSide::Left, intervals));
     }
     let heading = title(&format!("Initial state over the tests (± {})", std_error(&record.std_errors)));
-    let body = page.table(&columns) + &page.items(&few_tests::items(record, phase));
+    let said = few_tests::items(record, phase).into_iter().chain(heterogeneity(record, phase));
+    let body = page.table(&columns) + &page.items(&said.collect::<Vec<_>>());
     page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
+}
+
+/// How much tests differ beyond their noise, where that is known.
+fn heterogeneity(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
+    let found = record.heterogeneity.as_ref().filter(|_| record.phases.len() == 1)?;
+    let state = clean(phase.states.first()?);
+    Some(format!(
+        "Spread of {state} between tests: I² = {} % of the variance of typical estimates, H² = {}. Cochran's Q = {} with {} degrees \
+         of freedom: {}.",
+        plain(100.0 * found.i_squared, 3),
+        plain(found.h_squared, 3),
+        plain(found.q, 4),
+        found.degrees_of_freedom,
+        p_value(found.p_value)
+    ))
 }
 
 /// Tests in groups: the mean of each state, and its standard deviation at each level, side by side.

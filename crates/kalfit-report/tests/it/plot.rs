@@ -53,7 +53,8 @@ fn what_a_record_lacks_is_said() {
     let mut bare = common::record("Known start", vec![common::phase("main", &[])]);
     bare.tests = TestRecords::default();
     let of_data = [PlotKind::Records, PlotKind::Residuals, PlotKind::Quantiles, PlotKind::Allan];
-    let of_results = [PlotKind::Forest, PlotKind::Ellipses, PlotKind::Influence, PlotKind::Sensitivities];
+    let of_results =
+        [PlotKind::Forest, PlotKind::Ellipses, PlotKind::Influence, PlotKind::Tests, PlotKind::Sensitivities];
     assert!(of_data.iter().all(|what| what.is_of_data()) && !of_results.iter().any(|what| what.is_of_data()));
     for what in of_data.into_iter().chain(of_results) {
         let error = svg(&bare, what, 800).expect_err("there is nothing to draw");

@@ -19,6 +19,6 @@ mod tests;
 mod whole;
 
 pub use criterion::Criterion;
-pub use problem::{Kinds, PlanProblem, Scenario};
+pub use problem::{Kinds, MOST_TESTS, PlanProblem, Scenario};
 pub use relaxed::{Relaxed, relax};
 pub use whole::{WholePlan, in_whole_numbers};

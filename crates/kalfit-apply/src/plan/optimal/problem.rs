@@ -9,14 +9,17 @@ use super::criterion::{Criterion, Evaluated};
 use super::exchange;
 
 /// Information of a first plan that is added where a criterion of few figures could leave M singular.
-const REGULAR: f64 = 1e-9;
+const REGULAR: f64 = 1e-8;
+
+/// Largest number of tests of a kind that has no limit of its own: beyond every laboratory, and within the digits of a sum.
+pub const MOST_TESTS: f64 = 1e9;
 
 /// Cost and largest number of each kind, and the budget.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Kinds {
     /// Cost c_k > 0 of one test of each kind.
     pub costs: Vec<f64>,
-    /// Largest number m_k of tests of each kind; infinite where there is none.
+    /// Largest number m_k of tests of each kind, at most [`MOST_TESTS`].
     pub most: Vec<f64>,
     /// Largest cost of all tests together.
     pub budget: f64,
@@ -74,7 +77,7 @@ impl Scenario {
 
 impl PlanProblem {
     /// The problem with a little information added where a criterion of few figures could end at a singular M, which has
-    /// neither gradient nor bound: that of a plan that informs all coordinates, times 1e-9. Information that is regular
+    /// neither gradient nor bound: that of a plan that informs all coordinates, times 1e-8. Information that is regular
     /// stays as it is.
     #[must_use]
     pub fn regular(&self) -> PlanProblem {

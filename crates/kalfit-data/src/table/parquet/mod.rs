@@ -21,14 +21,10 @@ use crate::block::RowBlock;
 use crate::error::DataError;
 use crate::fill::BlockFiller;
 use crate::kind::PARQUET;
+use crate::most_rows::most_rows;
 use crate::numbering::RowNumbering;
 use crate::wanted::WantedColumns;
 use survey::RowGroupSurvey;
-
-/// Rows a file is believed to hold beyond [`ROWS_PER_BYTE`]. Run-length codes can declare billions of equal rows in a
-/// few bytes; a table worth reading does not compress so well.
-pub(crate) const ROWS_FREE: u64 = 1_000_000;
-pub(crate) const ROWS_PER_BYTE: u64 = 1_000;
 
 /// Cells of a block, and the fewest and most rows of one.
 const BLOCK_CELLS: usize = 1 << 19;
@@ -219,7 +215,7 @@ fn next_batch(
 pub(crate) fn refuse_oversized(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Result<(), DataError> {
     let rows = metadata.row_groups().iter().map(|group| u64::try_from(group.num_rows()).unwrap_or(u64::MAX));
     let declared = rows.fold(0, u64::saturating_add);
-    let limit = bytes.saturating_mul(ROWS_PER_BYTE).saturating_add(ROWS_FREE);
+    let limit = most_rows(bytes);
     if declared <= limit {
         return Ok(());
     }

@@ -46,6 +46,7 @@ pub(crate) fn phase(name: &str, states: &[&str]) -> PhaseRecord {
 pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
     FitRecord {
         df_method: None,
+        heterogeneity: None,
         schema: "kalfit-fit/1".into(),
         kalfit_version: "0.1.0".into(),
         title: title.into(),
