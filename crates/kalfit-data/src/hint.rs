@@ -48,7 +48,12 @@ impl DataError {
             DataError::TimeUnit { .. } => "date-times are read as time since the test's first row: set `time_unit` in `[data]` to `s`, `ms`, `us`, `ns`, `min`, `h` or `d`".into(),
             DataError::MixedTimes { .. } => "write the whole column one way".into(),
             DataError::Codec { .. } => "write the file again with snappy or zstd".into(),
-            DataError::Oversized { .. } => format!("the file is damaged, or made to exhaust memory; if it is sound, set the variable {MOST_ROWS} to the number of rows"),
+            DataError::Oversized { what: "rows" | "values", .. } => format!(
+                "the file is damaged, or made to exhaust memory; if it is sound, set the variable {MOST_ROWS} to the number of rows"
+            ),
+            DataError::Oversized { .. } => {
+                "the file is damaged, or made to exhaust memory; if it is sound, split it into several files".into()
+            }
             DataError::Encrypted { .. } => "write the table again without encryption".into(),
             DataError::TimeZone { .. } => "write the column with an offset such as `+01:00`, or with a zone such as `Europe/Berlin`".into(),
             DataError::Parquet { .. } | DataError::Arrow { .. } | DataError::Crashed { .. } => "the file may be damaged, or not copied whole; if other programs read it, write it again with one of them".into(),

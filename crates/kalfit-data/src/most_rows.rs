@@ -22,10 +22,14 @@ pub fn accepted_rows() -> Result<Option<u64>, String> {
     }
 }
 
+/// Rows that the variable accepts; none where it is not set.
+pub(crate) fn accepted() -> u64 {
+    accepted_rows().ok().flatten().unwrap_or(0)
+}
+
 /// Rows that a file of so many bytes may hold.
 pub(crate) fn most_rows(bytes: u64) -> u64 {
-    let accepted = accepted_rows().ok().flatten().unwrap_or(0);
-    bytes.saturating_mul(PER_BYTE).saturating_add(FREE).max(accepted)
+    bytes.saturating_mul(PER_BYTE).saturating_add(FREE).max(accepted())
 }
 
 #[cfg(test)]

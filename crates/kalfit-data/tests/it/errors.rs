@@ -469,6 +469,6 @@ fn rows_without_bytes() {
     ]);
     assert_snapshot!(refused_by(&model(&["y"], &[], None), &arrow_stream(&nulls, 1_000_000_000)), @r"
     standard input: found 1000000000 rows declared by 0 bytes, expected at most 65536
-    hint: the file is damaged, or made to exhaust memory; if it is sound, split it into several files
+    hint: the file is damaged, or made to exhaust memory; if it is sound, set the variable KALFIT_MOST_ROWS to the number of rows
     ");
 }

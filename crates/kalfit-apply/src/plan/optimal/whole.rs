@@ -110,7 +110,7 @@ fn branched(problem: &PlanProblem, first: Option<(Vec<f64>, f64)>) -> Option<Who
         }
     }
     let bound = open.iter().map(|branch| branch.bound).fold(best.1, f64::max);
-    best.1.is_finite().then(|| WholePlan {
+    best.1.is_finite().then_some(WholePlan {
         numbers: best.0,
         log_phi: best.1,
         bound: if bound <= best.1 + SAME { best.1 } else { bound },

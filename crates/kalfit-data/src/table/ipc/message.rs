@@ -5,6 +5,7 @@ use arrow_schema::ArrowError;
 
 use crate::error::DataError;
 use crate::kind::ARROW_IPC;
+use crate::most_rows::accepted;
 
 /// Bytes that a compressed batch may declare beyond [`RATIO`] times its own.
 const BYTES_FREE: u64 = 256 << 20;
@@ -37,7 +38,7 @@ pub(super) fn refuse_oversized(file: &str, metadata: &[u8], body: &[u8]) -> Resu
     if unpacked > limit {
         return Err(oversized("unpacked bytes", unpacked, limit));
     }
-    let limit = unpacked.saturating_mul(8).saturating_add(ROWS_FREE);
+    let limit = unpacked.saturating_mul(8).saturating_add(ROWS_FREE).max(accepted());
     match u64::try_from(batch.length()) {
         Ok(rows) if rows <= limit => Ok(()),
         rows => Err(oversized("rows", rows.unwrap_or(u64::MAX), limit)),
