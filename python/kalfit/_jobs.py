@@ -11,7 +11,7 @@ from kalfit import _kalfit
 from kalfit._data import Data, Table, as_data
 from kalfit._fit import Fit
 from kalfit._fit_record import FitRecord
-from kalfit._given import Set, file_name, model_text, source_text, table_of, text_beside
+from kalfit._given import Set, file_name, model_text, outputs_text, source_text, table_of, text_beside
 from kalfit._model import ModelLike, Path
 from kalfit._progress import How, Progress, how
 from kalfit._results import Check, Comparison, Datasheet, Filter, Plan, RatioTest, Simulation, Validation
@@ -356,6 +356,8 @@ def plan(
     so_far: Fit | Data | None = None,
     draws: int | None = None,
     seed: int = 1,
+    mission: Data | None = None,
+    outputs: Path | Mapping[str, object] | None = None,
     set: Set = None,
     out: Path | None = None,
     threads: int | None = None,
@@ -381,6 +383,9 @@ def plan(
     - ``so_far``: what is known already: a fit, its file, or data of tests that were made.
     - ``draws``: a number of draws of the parameters by the errors of the fit; the plan is the best on average over them.
     - ``seed``: the seed of the draws.
+    - ``mission``: data of one test that has not been made; ``"output(NAME, 3)"`` and ``"limit(NAME, 3)"``, the mean of a state or
+      output at its row 3 and the limit below which 95 % of all tests stay, are then figures of ``goal``.
+    - ``outputs``: outputs of the mission, linear in the states: the path of a file of ``[outputs.NAME]``, or its tables.
     - ``set``: values at which parameters are fixed, as in ``{"tau": 90}``, or ``{"sigma[A]": 0.7}`` at one level.
     - ``out``: a file for all results, as JSON.
     - ``threads``: number of threads; ``None`` is one for each processor. The results do not depend on it.
@@ -408,6 +413,7 @@ def plan(
         is_fit = isinstance(so_far, FitRecord) or (isinstance(so_far, (str, os.PathLike)) and os.fspath(so_far).lower().endswith(".json"))
         known = None if so_far is None or not is_fit else source_text(so_far)  # type: ignore[arg-type]
         made = None if so_far is None or is_fit else as_data(so_far, "so_far")  # type: ignore[arg-type]
+        of_outputs = None if outputs is None else outputs_text(outputs)
         limits = (float(budget), cost, most, str(goal), None if draws is None else (int(draws), int(seed)))
         with how(threads, progress) as told:
             text, notes = _kalfit.best_plan(
@@ -415,7 +421,7 @@ def plan(
                 source_text(source),
                 as_data(candidates, "candidates"),
                 limits,
-                (known, made, file_name(out)),
+                (known, made, ([] if mission is None else as_data(mission, "mission"), of_outputs), file_name(out)),
                 told,
             )
         return Plan(text, notes)

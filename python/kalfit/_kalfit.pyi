@@ -109,7 +109,7 @@ def best_plan(
     source: _Text,
     candidates: _Data,
     limits: tuple[float, str | None, str | None, str, tuple[int, int] | None],
-    files: tuple[_Text | None, _Data | None, _Path | None],
+    files: tuple[_Text | None, _Data | None, tuple[_Data, _Text | None], _Path | None],
     how: _How,
 ) -> tuple[str, list[str]]: ...
 def validate(

@@ -55,6 +55,13 @@ def test_the_best_plan_is_the_command_s(command, tmp_path):
     drawn = kalfit.simulate(BENCH[0], fit, BENCH[1], seed=1, plan=best)
     assert repr(drawn).startswith("<kalfit.Simulation: 9 tests")
     made = kalfit.plan(BENCH[0], fit, candidates=BENCH[1], budget=9, goal="sd(bias)", so_far=BENCH[1]).to_dict()
+    flight = {"unit": ["x", "x"], "hours": [0.1, 0.2], "scale_input": [0.0, 0.05], "accel": [1.0, 1.0]}
+    outputs = {"rate": "bias + scale * scale_input + g_sensitivity * accel"}
+    served = kalfit.plan(
+        BENCH[0], fit, candidates=BENCH[1], budget=9, goal="limit(rate, 2)", mission=flight, outputs=outputs, so_far=fit
+    )
+    limits = [row for row in served.to_dict()["quantities"] if row.get("parameter") == "limit(rate, 2)"]
+    assert limits[0]["std_error"][0] < limits[0]["std_error_before"]
     assert made["information_so_far"] is not None
     for wrong in ({"budget": 0}, {"budget": 9, "draws": 0}, {"budget": 9, "tests": [5]}):
         with pytest.raises(ValueError, match="expected"):

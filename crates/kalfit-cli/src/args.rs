@@ -457,7 +457,8 @@ pub(crate) struct PlanArgs {
     pub(crate) most: Option<String>,
 
     /// What is to become best known: `D` (all that is free), `A` (the means, over their standard deviations), figures such as
-    /// `sd(scale)`, `mean(bias)`, `corr(bias, scale)`, `coefficient(bias, T)` or a parameter's name, or `D(…)` of figures [default: D]
+    /// `sd(scale)`, `mean(bias)`, `corr(bias, scale)`, `coefficient(bias, T)` or a parameter's name, or `D(…)` of figures; with
+    /// `--mission` also `output(NAME, 3)` and `limit(NAME, 3)` [default: D]
     #[arg(long = "for", value_name = "FIGURE", requires = "candidates", help_heading = BEST_PLAN)]
     pub(crate) goal: Option<String>,
 
@@ -469,6 +470,15 @@ pub(crate) struct PlanArgs {
     #[arg(long, value_name = "N", requires = "candidates", value_parser = clap::value_parser!(u32).range(1..=1000),
           help_heading = BEST_PLAN)]
     pub(crate) draws: Option<u32>,
+
+    /// A test that has not been made: means of its states and outputs at row 3 are the figures `output(NAME, 3)`, limits below which
+    /// 95 % of all tests stay `limit(NAME, 3)`
+    #[arg(long, num_args = 1.., value_name = "DATA", requires = "candidates", help_heading = BEST_PLAN)]
+    pub(crate) mission: Vec<String>,
+
+    /// With `--mission`: file of outputs, which are linear in the states: `[outputs.NAME] equation = "…"`
+    #[arg(long, value_name = "FILE", requires = "mission", help_heading = BEST_PLAN)]
+    pub(crate) outputs: Option<PathBuf>,
 
     /// Seed of the draws [default: 1]
     #[arg(long, value_name = "S", requires = "draws", help_heading = BEST_PLAN)]

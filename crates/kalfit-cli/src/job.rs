@@ -279,7 +279,7 @@ impl From<SimulateArgs> for SimulateJob {
 impl From<PlanArgs> for PlanJob {
     fn from(args: PlanArgs) -> PlanJob {
         let request = match args.budget {
-            Some(budget) => PlanRequest::Best(BestPlanRequest {
+            Some(budget) => PlanRequest::Best(Box::new(BestPlanRequest {
                 candidates: data(args.candidates),
                 budget,
                 cost: args.cost,
@@ -287,7 +287,9 @@ impl From<PlanArgs> for PlanJob {
                 goal: args.goal.unwrap_or_else(|| "D".to_owned()),
                 so_far: SoFar::of_paths(args.with),
                 draws: args.draws.map(|count| (count as usize, args.seed.unwrap_or(1))),
-            }),
+                mission: data(args.mission),
+                outputs: args.outputs.map(Into::into),
+            })),
             None => PlanRequest::Design(DesignPlan {
                 design: data(args.design),
                 tests: args.tests.into_iter().map(|n| n as usize).collect(),

@@ -222,7 +222,7 @@ pub enum PlanRequest {
     /// Numbers of tests like those of a design.
     Design(DesignPlan),
     /// The best plan among candidates.
-    Best(BestPlanRequest),
+    Best(Box<BestPlanRequest>),
 }
 
 /// Numbers of tests like those of a design.
@@ -253,6 +253,10 @@ pub struct BestPlanRequest {
     pub so_far: Option<SoFar>,
     /// Draws of the parameters, with their seed.
     pub draws: Option<(usize, u64)>,
+    /// A test that has not been made, whose values are figures; none where it is empty.
+    pub mission: Vec<Datum>,
+    /// Outputs of the mission, linear in the states.
+    pub outputs: Option<Document>,
 }
 
 impl SoFar {

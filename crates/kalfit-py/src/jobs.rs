@@ -102,7 +102,9 @@ pub(crate) fn plan(
 /// Cost of all tests, columns of cost and largest number, what is to be best known, and draws with their seed.
 type PlanLimits = (f64, Option<String>, Option<String>, String, Option<(usize, u64)>);
 /// Results of a fit that are known, data of tests that were made, and the file for the plan.
-type PlanFiles<'py> = (Option<NamedText>, Option<Vec<PyDatum<'py>>>, Option<PathBuf>);
+type PlanFiles<'py> = (Option<NamedText>, Option<Vec<PyDatum<'py>>>, PlanMission<'py>, Option<PathBuf>);
+/// Data of a mission, and its outputs.
+type PlanMission<'py> = (Vec<PyDatum<'py>>, Option<NamedText>);
 
 /// (JSON of the best plan among candidates, notes).
 #[pyfunction]
@@ -116,14 +118,20 @@ pub(crate) fn best_plan(
     how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
     let (budget, cost, most, goal, draws) = limits;
-    let (fit, made, out) = files;
+    let (fit, made, (mission, outputs), out) = files;
+    let (mission, outputs) = (data(mission)?, outputs.map(Into::into));
     let so_far = match (fit, made) {
         (Some(fit), _) => Some(SoFar::Fit(fit.into())),
         (None, Some(made)) => Some(SoFar::Tests(data(made)?)),
         (None, None) => None,
     };
-    let best = BestPlanRequest { candidates: data(candidates)?, budget, cost, most, goal, so_far, draws };
-    planned(py, PlanJob { model: model.into(), from: from.into(), request: PlanRequest::Best(best), out }, how)
+    let best =
+        BestPlanRequest { candidates: data(candidates)?, budget, cost, most, goal, so_far, draws, mission, outputs };
+    planned(
+        py,
+        PlanJob { model: model.into(), from: from.into(), request: PlanRequest::Best(Box::new(best)), out },
+        how,
+    )
 }
 
 fn planned(py: Python<'_>, job: PlanJob, how: RunOptions<'_>) -> PyResult<(String, Vec<String>)> {

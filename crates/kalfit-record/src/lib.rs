@@ -72,7 +72,7 @@ pub use phase::{
     ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 pub use plain_text::{directs_text, plain_text, undirected};
-pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
+pub use plan::{ArrangementRecord, PlanNames, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
 pub use posteriors::PosteriorRecords;
 pub use predicted::{PairRecord, PredictedRecord, PredictedSource, PredictedValueRecord, name_of};

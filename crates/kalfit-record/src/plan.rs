@@ -51,7 +51,7 @@ pub struct ArrangementRecord {
 /// One quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlannedRecord {
-    /// `mean`, `regression`, `std_dev`, `correlation`, `covariance` or `parameter`.
+    /// `mean`, `regression`, `std_dev`, `correlation`, `covariance`, `parameter`, `output` or `limit`.
     pub quantity: String,
     /// Name of the phase; `main` when there is only one.
     pub phase: String,
@@ -73,7 +73,7 @@ pub struct PlannedRecord {
     pub relative_std_error: Vec<Option<f64>>,
     /// Why the standard errors are null: `fixed`, `unidentified` or `boundary`.
     pub reason: Option<String>,
-    /// Name of a free parameter.
+    /// Name of a free parameter, or of a value of the mission: `output(range, 3)`, `limit(range, 3)`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parameter: Option<String>,
     /// Standard error before any test of the best plan is made; absent where it is not known.
@@ -140,9 +140,9 @@ impl PlanRecord {
         }
     }
 
-    /// The record of the best plan among candidates; `parameters`: names of the free values of α.
+    /// The record of the best plan among candidates; `names`: of figures that the model does not name.
     pub fn of_best(
-        (model, parameters): (&PhasedModel, &[String]),
+        (model, names): (&PhasedModel, &PlanNames),
         figures: &[PlannedFigure],
         best: BestPlanRecord,
         provenance: PlanProvenance,
@@ -163,7 +163,7 @@ impl PlanRecord {
                 .iter()
                 .map(|one| PlannedRecord {
                     informed_by: one.informed_by.map(|k| best.candidates[k].name.clone()),
-                    ..PlannedRecord::of_figure((model, parameters), one)
+                    ..PlannedRecord::of_figure((model, names), one)
                 })
                 .collect(),
             best: Some(best),
@@ -178,9 +178,24 @@ impl ArrangementRecord {
     }
 }
 
+/// Names of figures of a plan that the model does not name.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PlanNames {
+    /// The free values of α, by slot.
+    pub parameters: Vec<String>,
+    /// The values of the mission: `range, 3` for output `range` at row 3.
+    pub mission: Vec<String>,
+}
+
 impl PlannedRecord {
     /// The record of a figure of the best plan. Panics where it is of another model.
-    pub fn of_figure((model, parameters): (&PhasedModel, &[String]), figure: &PlannedFigure) -> PlannedRecord {
+    pub fn of_figure((model, names): (&PhasedModel, &PlanNames), figure: &PlannedFigure) -> PlannedRecord {
+        let (kind, name) = match figure.figure {
+            Figure::Quantity(_) => ("", String::new()),
+            Figure::Value(slot) => ("parameter", names.parameters[slot].clone()),
+            Figure::Output(at) => ("output", format!("output({})", names.mission[at])),
+            Figure::Limit(at) => ("limit", format!("limit({})", names.mission[at])),
+        };
         let std_error = vec![figure.after];
         let size = figure.value.map(f64::abs).filter(|size| *size > 0.0);
         let relative = vec![figure.after.zip(size).map(|(error, size)| error / size)];
@@ -188,8 +203,8 @@ impl PlannedRecord {
             Figure::Quantity(quantity) => {
                 record(model, &Planned { quantity, value: figure.value, std_errors: Err(Reason::Unidentified) }, 1)
             }
-            Figure::Value(slot) => PlannedRecord {
-                quantity: "parameter".to_owned(),
+            Figure::Value(_) | Figure::Output(_) | Figure::Limit(_) => PlannedRecord {
+                quantity: kind.to_owned(),
                 phase: model.phases[0].name.clone(),
                 level: None,
                 states: Vec::new(),
@@ -199,7 +214,7 @@ impl PlannedRecord {
                 std_error: Vec::new(),
                 relative_std_error: Vec::new(),
                 reason: None,
-                parameter: Some(parameters[slot].clone()),
+                parameter: Some(name),
                 std_error_before: None,
                 df: None,
                 informed_by: None,

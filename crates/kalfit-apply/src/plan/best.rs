@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::plan::Quantity;
+use crate::plan::mission::MissionValue;
 use crate::plan::optimal::{Criterion, Kinds, PlanProblem, Relaxed, Scenario, WholePlan, in_whole_numbers, relax};
 use crate::plan::range::Range;
 use kalfit_infer::dynamic::UnitInformation;
@@ -27,6 +28,10 @@ pub enum Figure {
     Quantity(Quantity),
     /// A free value of α, by slot.
     Value(usize),
+    /// The mean of a value of a mission, by its index.
+    Output(usize),
+    /// The limit of a value of a mission below which 95 % of all tests stay, by its index.
+    Limit(usize),
 }
 
 /// What a plan is to make best known.
@@ -51,6 +56,8 @@ pub struct CandidateInformation {
     made: Vec<DMatrix<f64>>,
     /// Number of tests, or units, of a fit that is known.
     fitted: f64,
+    /// Values of a mission.
+    mission: Vec<MissionValue>,
 }
 
 /// Why there is no best plan.
@@ -117,7 +124,19 @@ impl CandidateInformation {
     /// Candidates of which nothing is known before.
     pub fn new(candidates: UnitInformation) -> CandidateInformation {
         let size = candidates.jacobian.nrows();
-        CandidateInformation { candidates, so_far: DMatrix::zeros(size, size), made: Vec::new(), fitted: 0.0 }
+        CandidateInformation {
+            candidates,
+            so_far: DMatrix::zeros(size, size),
+            made: Vec::new(),
+            fitted: 0.0,
+            mission: Vec::new(),
+        }
+    }
+
+    /// With the values of a mission among the figures.
+    #[must_use]
+    pub fn with_mission(self, mission: Vec<MissionValue>) -> CandidateInformation {
+        CandidateInformation { mission, ..self }
     }
 
     /// With tests that were made already, about the same values of α.
@@ -136,11 +155,18 @@ impl CandidateInformation {
         self
     }
 
+    /// The values of the mission.
+    pub fn mission(&self) -> &[MissionValue] {
+        &self.mission
+    }
+
     /// The derivatives of a figure by the free coordinates.
     pub fn gradient(&self, figure: Figure) -> DVector<f64> {
         match figure {
             Figure::Quantity(quantity) => self.candidates.gradient(quantity),
             Figure::Value(slot) => self.candidates.gradient_of_value(slot),
+            Figure::Output(at) => self.mission[at].gradients[0].clone(),
+            Figure::Limit(at) => self.mission[at].gradients[1].clone(),
         }
     }
 
@@ -148,6 +174,8 @@ impl CandidateInformation {
         match figure {
             Figure::Quantity(quantity) => self.candidates.value(quantity),
             Figure::Value(slot) => Some(self.candidates.value_of(slot)),
+            Figure::Output(at) => Some(self.mission[at].values[0]),
+            Figure::Limit(at) => Some(self.mission[at].values[1]),
         }
     }
 
@@ -297,7 +325,10 @@ pub fn best_plan(
     }
     let range = first.range();
     let wanted: Vec<Figure> = match goal {
-        Goal::All => figures.to_vec(),
+        Goal::All => {
+            let is_of_model = |figure: &&Figure| matches!(figure, Figure::Quantity(_) | Figure::Value(_));
+            figures.iter().filter(is_of_model).copied().collect()
+        }
         Goal::Figures(own) => own.iter().map(|(figure, _)| *figure).collect(),
         Goal::FiguresTogether(own) => own.clone(),
     };

@@ -11,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 use kalfit_algebra::symmetric;
 use kalfit_infer::dynamic::UnitInformation;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
-use kalfit_model::{Population, Slots};
+use kalfit_model::{Alpha, Level, Population, Slots};
 
 /// Directions of Σ with less than this share of the largest eigenvalue, scaled to unit diagonal, do not vary.
 const LEAST_EIGENVALUE: f64 = 1e-12;
@@ -23,6 +23,17 @@ pub struct DrawnParameters {
     pub values: Vec<f64>,
     /// μ, coefficients and Σ.
     pub population: Population,
+}
+
+impl DrawnParameters {
+    /// α with these free values.
+    pub fn alpha(&self, about: &Alpha, slots: &Slots) -> Alpha {
+        let mut alpha = about.clone();
+        for (slot, value) in slots.slots().iter().zip(&self.values) {
+            alpha.values[slot.parameter] = Level::Common(*value);
+        }
+        alpha
+    }
 }
 
 /// Draws of the parameters about those of `candidates`; the same seed gives the same draws.

@@ -16,6 +16,7 @@ mod draws;
 mod error;
 mod levels;
 mod lost;
+mod mission;
 pub mod optimal;
 mod range;
 
@@ -25,6 +26,7 @@ pub use error::PlanError;
 pub use kalfit_infer::Holdable as Quantity;
 pub use levels::{Arrangement, plan_groups};
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
+pub use mission::{MissionValue, mission};
 
 use kalfit_algebra::elements::Elements;
 use kalfit_estimate::{FinalState, Structure, at_population};

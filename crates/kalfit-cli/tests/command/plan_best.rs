@@ -92,6 +92,61 @@ fn plans_of_instruments_are_those_of_the_theory() {
     assert_eq!(quantity(&plan, "corr(scale, g)").informed_by.as_deref(), Some("tumble"));
 }
 
+/// The value of an output at a row of a mission, and the limit that 95 % of tests stay below, by the formulas of a Gaussian
+/// vector.
+#[test]
+fn values_of_a_mission_are_figures() {
+    let folder = instruments();
+    folder.write("mission.csv", b"test,a,b,c\nflight,1,0,0\nflight,1,2,0.5\n");
+    folder.write("out.toml", b"[outputs.angle]\nequation = \"a * bias + b * scale + c * g\"\n");
+    let base = "i.toml --from truth.toml --candidates kinds.csv --budget 20 --with made.csv --mission mission.csv --outputs out.toml";
+    let plan = planned(&folder, &format!("{base} --for limit(angle,2)"));
+    let sigma = DMatrix::from_row_slice(3, 3, &[0.6, 0.3, -0.05, 0.3, 1.0, -0.2, -0.05, -0.2, 0.1]);
+    let pairs: Vec<(usize, usize)> = (0..3).flat_map(|a| (a..3).map(move |b| (a, b))).collect();
+    let element = |&(a, b): &(usize, usize)| {
+        let mut s = DMatrix::zeros(3, 3);
+        (s[(a, b)], s[(b, a)]) = (1.0, 1.0);
+        s
+    };
+    let (mut of_means, mut of_sigma) = (DMatrix::zeros(3, 3), DMatrix::zeros(6, 6));
+    let made = [("static", 3), ("rate", 3)];
+    let chosen = numbers(&plan).into_iter().map(|(name, _, n)| (name, n));
+    for (name, n) in chosen.chain(made.map(|(name, n)| (name.to_owned(), n))) {
+        let rows = KINDS.iter().find(|kind| kind.0 == name).unwrap().3;
+        let j = rows.iter().fold(DMatrix::zeros(3, 3), |sum, row| {
+            let h = DVector::from_row_slice(row);
+            sum + &h * h.transpose() / 0.25
+        });
+        let w = (DMatrix::identity(3, 3) + &j * &sigma).try_inverse().unwrap() * j;
+        let of = |k: usize, l: usize| 0.5 * (&w * element(&pairs[k]) * &w * element(&pairs[l])).trace();
+        of_means += &w * n as f64;
+        of_sigma += DMatrix::from_fn(6, 6, of) * n as f64;
+    }
+    let x = DVector::from_vec(vec![1.0, 2.0, 0.5]);
+    let std_dev = x.dot(&(&sigma * &x)).sqrt();
+    let by_sigma = DVector::from_iterator(6, pairs.iter().map(|pair| x.dot(&(element(pair) * &x)) / (2.0 * std_dev)));
+    let of_mean = x.dot(&(of_means.try_inverse().unwrap() * &x));
+    let of_spread = by_sigma.dot(&(of_sigma.try_inverse().unwrap() * &by_sigma));
+    let quantile = 1.644_853_626_951_472_7;
+    for (name, value, error) in [
+        ("output(angle, 2)", 3.5, of_mean.sqrt()),
+        ("limit(angle, 2)", 3.5 + quantile * std_dev, (of_mean + quantile * quantile * of_spread).sqrt()),
+    ] {
+        let found = quantity(&plan, name);
+        near::relative(name, found.value.unwrap(), value, 1e-9);
+        near::relative(name, found.std_error[0].unwrap(), error, 1e-7);
+    }
+    near::relative(
+        "a state",
+        quantity(&plan, "output(bias, 1)").std_error[0].unwrap(),
+        quantity(&plan, "mean(bias)").std_error[0].unwrap(),
+        1e-9,
+    );
+    folder.write("mission.csv", b"test,a,b,c\nx,1,0,0\ny,1,2,0.5\n");
+    let output = folder.run(&format!("plan {base}"));
+    assert!(shown(&output).contains("the mission has 2 tests, expected one"), "{}", shown(&output));
+}
+
 /// Units at cost 5 with m tests at cost 1, spread 1 of units and 2 of tests: theory §15, case 2.
 #[test]
 fn units_have_as_many_tests_as_their_costs_ask_for() {

@@ -28,6 +28,8 @@ use kalfit_search::{Coordinate, DynamicError, ProfileLikelihood, Settings};
 /// Information of a unit about a free value of α, in units of its size, that counts as none: a standard error of 10 000 times
 /// the value.
 const LEAST_INFORMATION: f64 = 1e-8;
+/// Step of a value of α in its coordinate, relative to its size, for differences of predictions.
+const VALUE_STEP: f64 = 1e-4;
 /// Rounding of a derivative whose terms cancel, as a part of the terms.
 const CANCELLED: f64 = 1e-11;
 
@@ -196,6 +198,14 @@ impl UnitInformation {
     /// The free value `slot` of α.
     pub fn value_of(&self, slot: usize) -> f64 {
         self.values[slot]
+    }
+
+    /// The free value `slot` of α a step below and above, and the distance of the two in its coordinate.
+    pub fn value_sides(&self, slot: usize) -> ([f64; 2], f64) {
+        let (value, coordinate) = (self.values[slot], &self.coordinates[slot]);
+        let step = coordinate.step(value, VALUE_STEP);
+        let sides = [-step, step].map(|step| coordinate.moved(value, step));
+        (sides, coordinate.of_value(sides[1]) - coordinate.of_value(sides[0]))
     }
 
     /// The free value `slot` of α after an error to first order, within its bounds: a positive value by its logarithm.

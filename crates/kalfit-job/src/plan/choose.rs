@@ -8,13 +8,15 @@ use kalfit::estimate::{ExpectedError, Structure};
 use kalfit::infer::Knowledge;
 use kalfit::model::{Level, PhasedModel, Slots, Value};
 use kalfit::plan::{
-    CandidateInformation, DrawnParameters, Figure, Goal, NoPlan, PlanError, PlannedFigure, Quantity, best_plan, drawn,
+    CandidateInformation, DrawnParameters, Figure, Goal, MissionValue, NoPlan, PlanError, PlannedFigure, Quantity,
+    best_plan, drawn, mission,
 };
-use kalfit::record::{BestPlanRecord, DataRecord, DrawsRecord, PlanProvenance, PlanRecord, PlannedRecord};
+use kalfit::predict::What;
+use kalfit::record::{BestPlanRecord, DataRecord, DrawsRecord, PlanNames, PlanProvenance, PlanRecord, PlannedRecord};
 use kalfit::reduce::{PhasedReducer, grouping};
 use kalfit::{Alpha, Grouping, PhasedTest, Population, Reductions};
 use kalfit_data::{DataReading, Datum, Input};
-use kalfit_spec::Spec;
+use kalfit_spec::{DesignSpec, Spec};
 
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
@@ -23,11 +25,13 @@ use crate::output::OutputFile;
 use crate::plan::candidates::{self, ReadCandidates};
 use crate::plan::error::BestPlanError;
 use crate::plan::goal::Figures;
+use crate::predict;
+use crate::refused::by_predict;
 use crate::results::{self, FIT};
 use crate::truth::Truth;
 use crate::truth::error::TruthError;
 use crate::work::{JobWatch, JobWork};
-use crate::{dynamic, model};
+use crate::{dynamic, model, tests};
 
 /// Largest number of numbers in the information of all candidates: some 800 MB.
 const MOST_NUMBERS: usize = 100_000_000;
@@ -56,7 +60,10 @@ pub(super) fn choose(
     refuse_too_many(&found, request)?;
     let candidates = CandidateInformation::new(found);
     let (scenario, before) = with_so_far(&mut spec, request, (&planned, &slots), candidates, &mut work)?;
-    let figures = figures(&planned, &slots, &scenario.candidates);
+    let mission = Mission::read(&spec, request, &mut work)?;
+    let scenario = mission.on(scenario, &slots, &truth.alpha)?;
+    let plan_names = PlanNames { parameters: parameter_names(&planned, &slots), mission: mission.names(&scenario) };
+    let figures = figures(&planned, &plan_names, &scenario.candidates);
     let goal = figures.goal(&request.goal, &scenario).map_err(refused_plan)?;
     let mut scenarios = vec![scenario];
     if let Some(draws) = request.draws {
@@ -65,7 +72,9 @@ pub(super) fn choose(
         for own in drawn(&law, &slots, &scenarios[0].candidates, draws) {
             work.go_on()?;
             work.say(|| format!("information at draw {} of {}", scenarios.len(), draws.0));
-            scenarios.extend(planned.at(&own, (&read, &slots), &before, &mut work)?);
+            let found = planned.at(&own, (&read, &slots), &before, &mut work)?;
+            let there = |found| mission.on(found, &slots, &own.alpha(&truth.alpha, &slots));
+            scenarios.extend(found.map(there).transpose()?);
         }
         if scenarios.len() == 1 {
             return Err(refused_plan(BestPlanError::NoDraws));
@@ -88,8 +97,7 @@ pub(super) fn choose(
         design: DataRecord::of(&tests.reductions, given.names()),
         parameters_taken_as_known: taken,
     };
-    let parameters = parameter_names(&planned, &slots);
-    let record = PlanRecord::of_best((&spec.model, &parameters), &best.figures, record, provenance);
+    let record = PlanRecord::of_best((&spec.model, &plan_names), &best.figures, record, provenance);
     work.go_on()?;
     let mut notes = truth.warnings;
     let left_out = request.draws.map_or(0, |(count, _)| count + 1 - scenarios.len());
@@ -245,10 +253,7 @@ impl Planned<'_> {
         before: &Before,
         work: &mut JobWork<'_>,
     ) -> Result<Option<CandidateInformation>, Failure> {
-        let mut alpha = self.alpha.clone();
-        for (slot, value) in slots.slots().iter().zip(&other.values) {
-            alpha.values[slot.parameter] = Level::Common(*value);
-        }
+        let alpha = other.alpha(self.alpha, slots);
         let planned = Planned { free: self.free, population: &other.population, alpha: &alpha };
         let tests = TestsToPlan::new(self.free, &read.tests, &read.reading, &alpha)?;
         match planned.information(&tests, (slots, &other.values), work) {
@@ -286,12 +291,61 @@ fn values(slots: &Slots, alpha: &Alpha) -> Vec<f64> {
     slots.slots().iter().map(of).collect()
 }
 
+/// The test that has not been made, whose values are figures.
+struct Mission {
+    design: DesignSpec,
+    test: Option<PhasedTest>,
+}
+
+impl Mission {
+    fn read(spec: &Spec, request: &BestPlanRequest, work: &mut JobWork<'_>) -> Result<Mission, Failure> {
+        let design = predict::design(spec, request.outputs.as_ref(), false)?;
+        if request.mission.is_empty() {
+            return Ok(Mission { design, test: None });
+        }
+        let inputs = Input::expand(&request.mission).map_err(|error| Failure::data(error, &design.spec))?;
+        let (mut tests, _) = tests::read(&design.spec, &CommandInputs::rows_of(inputs), work)?;
+        match tests.len() {
+            1 => Ok(Mission { design, test: tests.pop() }),
+            found => Err(refused_plan(BestPlanError::Mission { found })),
+        }
+    }
+
+    /// The candidates with the values of the mission at their parameters.
+    fn on(
+        &self,
+        candidates: CandidateInformation,
+        slots: &Slots,
+        alpha: &Alpha,
+    ) -> Result<CandidateInformation, Failure> {
+        let Some(test) = &self.test else { return Ok(candidates) };
+        let design = (&self.design.spec.model, &self.design.outputs[..], alpha);
+        let found = mission(design, test, (&candidates.candidates, slots)).map_err(|error| by_predict(error, None))?;
+        Ok(candidates.with_mission(found))
+    }
+
+    /// `range, 3` for output `range` at row 3, with the phase where there are several.
+    fn names(&self, candidates: &CandidateInformation) -> Vec<String> {
+        let model = &self.design.spec.model;
+        let of = |one: &MissionValue| {
+            let phase = &model.phases[one.phase];
+            let name = match one.what {
+                What::State(state) => &phase.model.states[state].name,
+                What::Output(output) => &self.design.outputs[one.phase][output].name,
+            };
+            let prefix = if model.is_single() { String::new() } else { format!("{}.", phase.name) };
+            format!("{prefix}{name}, {}", one.row + 1)
+        };
+        candidates.mission().iter().map(of).collect()
+    }
+}
+
 fn parameter_names(planned: &Planned<'_>, slots: &Slots) -> Vec<String> {
     slots.slots().iter().map(|slot| planned.free.shared().parameters[slot.parameter].name.clone()).collect()
 }
 
 /// All figures that the model leaves free, with their names.
-fn figures(planned: &Planned<'_>, slots: &Slots, found: &UnitInformation) -> Figures {
+fn figures(planned: &Planned<'_>, names: &PlanNames, found: &UnitInformation) -> Figures {
     let Population { mean, coefficients, .. } = found.population();
     let elements: Vec<(usize, usize)> = found.elements().collect();
     let off_diagonal = || elements.iter().filter(|(i, j)| i != j);
@@ -304,19 +358,19 @@ fn figures(planned: &Planned<'_>, slots: &Slots, found: &UnitInformation) -> Fig
         .chain(elements.iter().map(|&(i, j)| Quantity::Covariance(i, j)));
     let (free, fixed): (Vec<Quantity>, Vec<Quantity>) =
         quantities.partition(|quantity| found.gradient(*quantity).amax() > 0.0);
-    let all: Vec<Figure> =
-        free.into_iter().map(Figure::Quantity).chain((0..slots.slots().len()).map(Figure::Value)).collect();
-    let parameters = parameter_names(planned, slots);
+    let values = (0..names.parameters.len()).map(Figure::Value);
+    let of_mission = (0..names.mission.len()).flat_map(|at| [Figure::Output(at), Figure::Limit(at)]);
+    let all: Vec<Figure> = free.into_iter().map(Figure::Quantity).chain(values).chain(of_mission).collect();
     let several = !planned.free.is_single();
     let name = |figure: Figure| {
         let bare = PlannedFigure { figure, value: None, before: None, after: None, df: None, informed_by: None };
-        PlannedRecord::of_figure((planned.free, &parameters), &bare).name(several)
+        PlannedRecord::of_figure((planned.free, names), &bare).name(several)
     };
     let known = planned.free.shared().parameters.iter().map(|own| own.name.clone());
     Figures {
         names: all.iter().map(|figure| name(*figure)).collect(),
         fixed: fixed.into_iter().map(|quantity| name(Figure::Quantity(quantity))).collect(),
-        known: known.filter(|name| !parameters.contains(name)).collect(),
+        known: known.filter(|name| !names.parameters.contains(name)).collect(),
         all,
     }
 }

@@ -68,6 +68,12 @@ pub enum BestPlanError {
         /// The column.
         column: String,
     },
+    /// A mission of none or several tests.
+    #[error("the mission has {found} tests, expected one")]
+    Mission {
+        /// Number of tests.
+        found: usize,
+    },
     /// All draws contradict the model.
     #[error("no draw can be used: the model fixes elements of the covariance that draws would move")]
     NoDraws,
@@ -159,6 +165,7 @@ impl BestPlanError {
             BestPlanError::Dependent { .. } => "leave one of them out, or name them without `D(…)`".to_owned(),
             BestPlanError::NothingFree { .. } => "free a mean, covariance or parameter in the model".to_owned(),
             BestPlanError::Stdin { .. } => "put the table in a file, or name a column by `--cost` or `--most`".to_owned(),
+            BestPlanError::Mission { .. } => "give the rows of one test: `output(NAME, 3)` is its value at row 3".to_owned(),
             BestPlanError::NoDraws => "leave `--draws` out".to_owned(),
             BestPlanError::OtherModel { .. } => "give a fit of this model, or the tests that were made".to_owned(),
             BestPlanError::Fixed { .. } => "name another figure, or free this one in the model".to_owned(),

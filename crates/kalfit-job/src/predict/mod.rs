@@ -13,6 +13,7 @@ use kalfit_spec::{BesideError, DesignSpec, Spec};
 use self::profile::ProfileData;
 use self::table::{columns, write_phase};
 use self::units::UnitLaws;
+use crate::document::Document;
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::job::{JobDone, PredictJob, PredictedModel, PredictedUnits, files};
@@ -84,18 +85,24 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
     Ok(JobDone::new(PredictedModel { record, table: back }, truth.warnings, written))
 }
 
-/// The model for designs, at the values that were taken; of two outputs of a phase in one unit the sum is a third.
-fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
-    let text = job.outputs.as_ref().map(model::text).transpose()?;
+/// The model for designs, at the values that were taken; `levels`: whether the designs are of known groups.
+pub(crate) fn design(spec: &Spec, outputs: Option<&Document>, levels: bool) -> Result<DesignSpec, Failure> {
+    let text = outputs.map(model::text).transpose()?;
     let of_outputs = |error| {
-        let name = job.outputs.as_ref().map_or_else(String::new, |outputs| outputs.name());
+        let name = outputs.map_or_else(String::new, Document::name);
         Failure::model(error, &name, text.clone())
     };
-    let mut found = spec.design(text.as_deref(), job.units == PredictedUnits::Known).map_err(|error| match error {
+    let mut found = spec.design(text.as_deref(), levels).map_err(|error| match error {
         BesideError::File(error) => of_outputs(error),
         BesideError::Model(error) => Failure::model(error, &spec.name, Some(spec.text.clone())),
     })?;
     found.spec.take_values(spec);
+    Ok(found)
+}
+
+/// The model for designs; of two outputs of a phase in one unit the sum is a third.
+fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
+    let mut found = design(spec, job.outputs.as_ref(), job.units == PredictedUnits::Known)?;
     for outputs in &mut found.outputs {
         if let [first, second] = &outputs[..]
             && first.unit == second.unit
