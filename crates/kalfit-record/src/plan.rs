@@ -124,19 +124,10 @@ pub struct PlanProvenance {
 impl PlanRecord {
     /// The record of a plan. Panics when the plan is of a model with fewer states or regressions.
     pub fn new(model: &PhasedModel, plan: &Plan, provenance: PlanProvenance) -> PlanRecord {
+        let quantities = plan.quantities.iter().map(|planned| record(model, planned, plan.tests.len())).collect();
         PlanRecord {
-            schema: "kalfit-plan/1".to_owned(),
-            kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
-            title: model.shared().title.clone(),
-            model_digest: provenance.model_digest,
-            from: provenance.from,
-            design: provenance.design,
-            information: "expected".to_owned(),
-            parameters_taken_as_known: provenance.parameters_taken_as_known,
-            tests: plan.tests.clone(),
             arrangements: plan.arrangements.iter().map(|one| ArrangementRecord::new(model, one)).collect(),
-            quantities: plan.quantities.iter().map(|planned| record(model, planned, plan.tests.len())).collect(),
-            best: None,
+            ..PlanRecord::of_tests(model, plan.tests.clone(), quantities, provenance)
         }
     }
 
@@ -147,7 +138,21 @@ impl PlanRecord {
         best: BestPlanRecord,
         provenance: PlanProvenance,
     ) -> PlanRecord {
-        let tests = best.candidates.iter().map(|one| one.tests).sum();
+        let of_figure = |one: &PlannedFigure| PlannedRecord {
+            informed_by: one.informed_by.map(|k| best.candidates[k].name.clone()),
+            ..PlannedRecord::of_figure((model, names), one)
+        };
+        let quantities = figures.iter().map(of_figure).collect();
+        let tests = vec![best.candidates.iter().map(|one| one.tests).sum()];
+        PlanRecord { best: Some(best), ..PlanRecord::of_tests(model, tests, quantities, provenance) }
+    }
+
+    fn of_tests(
+        model: &PhasedModel,
+        tests: Vec<usize>,
+        quantities: Vec<PlannedRecord>,
+        provenance: PlanProvenance,
+    ) -> PlanRecord {
         PlanRecord {
             schema: "kalfit-plan/1".to_owned(),
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -157,16 +162,10 @@ impl PlanRecord {
             design: provenance.design,
             information: "expected".to_owned(),
             parameters_taken_as_known: provenance.parameters_taken_as_known,
-            tests: vec![tests],
+            tests,
             arrangements: Vec::new(),
-            quantities: figures
-                .iter()
-                .map(|one| PlannedRecord {
-                    informed_by: one.informed_by.map(|k| best.candidates[k].name.clone()),
-                    ..PlannedRecord::of_figure((model, names), one)
-                })
-                .collect(),
-            best: Some(best),
+            quantities,
+            best: None,
         }
     }
 }

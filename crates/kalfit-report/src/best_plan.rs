@@ -14,8 +14,6 @@ use crate::words::{clean, count, list};
 const MOST_NAMES: usize = 6;
 /// Candidates that are not in the plan, of which so many are shown.
 const MOST_LEFT_OUT: usize = 12;
-/// Quantile of the normal law at 97.5 %.
-const NORMAL: f64 = 1.959_963_984_540_054;
 /// Gap of the certificate at which a plan is as good as the best.
 const CERTIFIED: f64 = 1e-5;
 /// Correlations and covariances with a standard error of at least this share of their range are worth a word.
@@ -181,7 +179,9 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], page: &PageLayout<'_>) ->
 
 /// How much wider the interval of a mean is by Student's t than by the normal law.
 fn few_tests(one: &PlannedRecord) -> f64 {
-    one.df.filter(|df| *df >= 1.0).and_then(|df| student_quantile(df, 0.975)).map_or(1.0, |quantile| quantile / NORMAL)
+    let quantile = |df: f64| student_quantile(df, 0.975);
+    let ratio = |df: f64| Some(quantile(df)? / quantile(f64::INFINITY)?);
+    one.df.filter(|df| *df >= 1.0).and_then(ratio).unwrap_or(1.0)
 }
 
 fn notes(record: &PlanRecord, best: &BestPlanRecord) -> Vec<String> {

@@ -14,11 +14,13 @@ use kalfit_infer::dynamic::UnitInformation;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::Slots;
 
-/// Least eigenvalue of the products of unit derivatives of figures that are known together.
+/// Figures depend on each other where the Gram matrix of their unit derivatives has an eigenvalue below this: they differ by
+/// 1e-5 or less, which rounding of derivatives by differences can make.
 const DEPENDENT: f64 = 1e-10;
-/// Degrees of freedom beyond which a mean's law is normal.
+/// Degrees of freedom from which quantiles of Student's t equal those of the normal law to five digits.
 const MANY_DEGREES: f64 = 1e6;
-/// Part of one test of each candidate that makes the information of a plan regular.
+/// The fraction of a test of each candidate that is added to a plan where gains are compared, since gains have no value at a
+/// singular information.
 const LITTLE: f64 = 1e-4;
 
 /// A number that a plan is to make known.
@@ -34,7 +36,7 @@ pub enum Figure {
     Limit(usize),
 }
 
-/// What a plan is to make best known.
+/// A goal says what the best plan makes known best.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Goal {
     /// All free values together: the determinant of their information.
@@ -48,7 +50,7 @@ pub enum Goal {
 /// The information of the candidates at one set of parameters.
 #[derive(Debug, Clone)]
 pub struct CandidateInformation {
-    /// Of one test of each candidate.
+    /// Expected information of one test of each candidate.
     pub candidates: UnitInformation,
     /// Information that is there before, of tests that were made or of a fit: rows as of the candidates'.
     so_far: DMatrix<f64>,
@@ -85,11 +87,11 @@ pub enum NoPlan {
 pub struct PlannedFigure {
     /// The figure.
     pub figure: Figure,
-    /// Its value.
+    /// Value of the figure at the parameters that are planned for.
     pub value: Option<f64>,
-    /// Its standard error before any test of the plan; `None` where it is not known.
+    /// Standard error of the figure before any test of the plan; `None` where nothing determines the figure.
     pub before: Option<f64>,
-    /// Its standard error after all tests of the plan; `None` where the plan does not determine it.
+    /// Standard error of the figure after all tests of the plan; `None` where the plan does not determine the figure.
     pub after: Option<f64>,
     /// Degrees of freedom of a mean or coefficient after the plan (14.8), where tests are independent.
     pub df: Option<f64>,
@@ -106,7 +108,7 @@ pub struct BestPlan {
     pub whole: WholePlan,
     /// ⟨G, F_k⟩ · budget / c_k at the relaxed plan, the function of the equivalence theorem.
     pub sensitivities: Vec<f64>,
-    /// What is added to log φ for its value in the user's units.
+    /// The term that log φ gains when the information is stated in the user's units.
     pub offset: f64,
     /// All figures that the model leaves free.
     pub figures: Vec<PlannedFigure>,

@@ -13,7 +13,8 @@ use kalfit_infer::dynamic::UnitInformation;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 use kalfit_model::{Alpha, Level, Population, Slots};
 
-/// Directions of Σ with less than this share of the largest eigenvalue, scaled to unit diagonal, do not vary.
+/// Directions of Σ, scaled to unit diagonal, with less than this share of the largest eigenvalue are rounding of a singular Σ:
+/// draws leave them zero.
 const LEAST_EIGENVALUE: f64 = 1e-12;
 
 /// Free values of α, and (μ, Σ).

@@ -11,7 +11,7 @@ use crate::predict::{Initial, Output, PredictError, Predicted, Predictor, What};
 use kalfit_infer::dynamic::UnitInformation;
 use kalfit_model::{Alpha, Level, PhasedModel, PhasedTest, Slots};
 
-/// Quantile of the normal law at 95 %.
+/// Quantile of the normal law at 95 %, by definition of the limit.
 const LIMIT: f64 = 1.644_853_626_951_472_7;
 
 /// A value at a row of a test.
@@ -21,9 +21,9 @@ pub struct MissionValue {
     pub phase: usize,
     /// The state or output.
     pub what: What,
-    /// Its row among those of the phase.
+    /// Row of the value, by its index within the phase.
     pub row: usize,
-    /// Its mean over tests, and the limit.
+    /// Mean of the value over tests, and the limit that 95 % of tests stay below, in the units of the state or output.
     pub values: [f64; 2],
     /// Derivatives of both by the free coordinates of a plan.
     pub gradients: [DVector<f64>; 2],

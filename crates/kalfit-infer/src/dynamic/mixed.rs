@@ -73,7 +73,9 @@ fn information(
     of_elements((&units, every), shared.len(), &values, (&laws, &place, &law), progress)
 }
 
-/// The information of [`information`] at any point. It comes from one of `every` units of tests; `values`: the pairs of points along each of k values of α; `place`: the point with another law of ξ than `law`. `None` where a pair is not defined, and once `progress` stops.
+/// The information of [`information`] at any point. It comes from one of `every` units of tests; `values`: the pairs of
+/// points along each of k values of α; `place`: the point with another law of ξ than `law`. `None` where a pair is not
+/// defined, and once `progress` stops.
 pub(super) fn of_elements(
     (units, every): (&[Vec<GroupedTest<'_>>], usize),
     k: usize,

@@ -52,7 +52,7 @@ pub(super) fn read(
                 let Some(at) = names.iter().position(absent) else { return Err(failure) };
                 let column = names[at].take().map_or_else(String::new, |(name, _)| name);
                 if given.inputs.iter().any(|input| matches!(input, Input::Stdin)) {
-                    return Err(Failure::BestPlan(Box::new(BestPlanError::Stdin { column })));
+                    return Err(BestPlanError::Stdin { column }.into());
                 }
                 if given.inputs.len() > 1 && is_in_some(spec, &column, given, work)? {
                     return Err(failure);

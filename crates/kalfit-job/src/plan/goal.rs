@@ -1,7 +1,10 @@
 //! What `--for` asks for.
 
-use kalfit::plan::Quantity;
-use kalfit::plan::{CandidateInformation, Figure, Goal};
+use kalfit::Population;
+use kalfit::dynamic::UnitInformation;
+use kalfit::model::PhasedModel;
+use kalfit::plan::{CandidateInformation, Figure, Goal, PlannedFigure, Quantity};
+use kalfit::record::{PlanNames, PlannedRecord};
 
 use crate::plan::error::BestPlanError;
 
@@ -16,6 +19,37 @@ pub(super) struct Figures {
 }
 
 impl Figures {
+    /// All figures that the model leaves free, with their names.
+    pub(super) fn of_model(free: &PhasedModel, names: &PlanNames, found: &UnitInformation) -> Figures {
+        let Population { mean, coefficients, .. } = found.population();
+        let elements: Vec<(usize, usize)> = found.elements().collect();
+        let off_diagonal = || elements.iter().filter(|(i, j)| i != j);
+        let own = free.dimension();
+        let means = (0..mean.len().min(own)).map(Quantity::Mean);
+        let quantities = means
+            .chain((0..coefficients.len()).map(Quantity::Coefficient))
+            .chain(elements.iter().filter(|(i, j)| i == j).map(|&(i, _)| Quantity::StdDev(i)))
+            .chain(off_diagonal().map(|&(i, j)| Quantity::Correlation(i, j)))
+            .chain(elements.iter().map(|&(i, j)| Quantity::Covariance(i, j)));
+        let (left, fixed): (Vec<Quantity>, Vec<Quantity>) =
+            quantities.partition(|quantity| found.gradient(*quantity).amax() > 0.0);
+        let values = (0..names.parameters.len()).map(Figure::Value);
+        let of_mission = (0..names.mission.len()).flat_map(|at| [Figure::Output(at), Figure::Limit(at)]);
+        let all: Vec<Figure> = left.into_iter().map(Figure::Quantity).chain(values).chain(of_mission).collect();
+        let several = !free.is_single();
+        let name = |figure: Figure| {
+            let bare = PlannedFigure { figure, value: None, before: None, after: None, df: None, informed_by: None };
+            PlannedRecord::of_figure((free, names), &bare).name(several)
+        };
+        let known = free.shared().parameters.iter().map(|own| own.name.clone());
+        Figures {
+            names: all.iter().map(|figure| name(*figure)).collect(),
+            fixed: fixed.into_iter().map(|quantity| name(Figure::Quantity(quantity))).collect(),
+            known: known.filter(|name| !names.parameters.contains(name)).collect(),
+            all,
+        }
+    }
+
     pub(super) fn name(&self, figure: Figure) -> String {
         self.all.iter().position(|own| *own == figure).map_or_else(String::new, |at| self.names[at].clone())
     }

@@ -5,6 +5,8 @@ mod choose;
 mod design;
 pub(crate) mod error;
 mod goal;
+mod mission;
+mod planned;
 
 use kalfit::record::PlanRecord;
 
@@ -12,6 +14,12 @@ use crate::failure::Failure;
 use crate::job::{JobDone, PlanJob, PlanRequest};
 use crate::work::JobWatch;
 use crate::{memory, truth};
+
+impl From<error::BestPlanError> for Failure {
+    fn from(error: error::BestPlanError) -> Failure {
+        Failure::BestPlan(Box::new(error))
+    }
+}
 
 /// Expects standard errors against the number of tests, or chooses the best plan among candidates.
 ///

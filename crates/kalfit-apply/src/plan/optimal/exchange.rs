@@ -4,11 +4,12 @@ use super::Criterion;
 use super::bound;
 use super::problem::{PlanProblem, PlanValue};
 
-/// Part of all kinds' information that makes the information of a beginning plan regular.
+/// The part of a plan of all kinds alike that the beginning plan includes, so that its information is regular: small enough
+/// to leave the order of gains as it is.
 const BEGINNING: f64 = 1e-6;
-/// Rounding errors of log φ.
+/// Differences of log φ, which is of order 1 for scaled information, that rounding can make.
 const ROUNDING: f64 = 1e-13;
-/// Halvings of a step that does not improve the plan.
+/// Halvings of a step that does not improve the plan; after these a step is below the rounding of numbers (2⁻⁶⁰).
 const HALVINGS: usize = 60;
 /// Numbers of tests below this fraction of what the budget allows count as zero.
 pub(super) const NOTHING: f64 = 1e-12;
