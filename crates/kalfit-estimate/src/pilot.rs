@@ -19,9 +19,10 @@ const MIN_THINNING: usize = 8;
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
     let min_count = MIN_CLASSES.max(CLASSES_PER_COORDINATE * coordinates);
-    // tests in groups are selected by whole units; their restricted likelihood would need all designs
+    // tests in groups are selected by whole units, which must be independent; their restricted likelihood would need all
+    // designs
     let all = match &whole.classes.units {
-        Some(_) if whole.criterion() == Criterion::Reml => return Ok(None),
+        Some(units) if whole.criterion() == Criterion::Reml || units.is_crossed() => return Ok(None),
         Some(units) => units.len(),
         None => whole.classes.len(),
     };

@@ -25,6 +25,7 @@
 
 mod batch_data;
 mod batches;
+mod crossed;
 mod design;
 mod moments;
 mod pass;

@@ -12,6 +12,13 @@ impl Units {
         let (levels, p) = (self.levels(), self.states);
         let centre: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| mean[l * p + i]).sum()).collect();
         let (mut excess, mut squares) = (DVector::zeros(levels * p), DVector::zeros(levels * p));
+        if let Some(crossing) = &self.crossing {
+            crossing.moments(&self.leaves, (&centre, self.unit), &mut |level, i, y, information| {
+                excess[level * p + i] += y * y - information;
+                squares[level * p + i] += information * information;
+            });
+            return (excess, squares);
+        }
         for design in self.designs.iter() {
             design.moments(&self.leaves, (&centre, self.unit), &mut |level, i, y, information| {
                 excess[level * p + i] += y * y - information;
@@ -23,11 +30,19 @@ impl Units {
 
     /// A variance for each state at each level by moments, as if the states were uncorrelated: the
     /// [excess](Units::excess) of level k has the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over the groups of level l. By
-    /// levels, tests first; `None` where the groups have no information.
+    /// levels, tests first; `None` where the groups have no information. The groups of a crossed factor are compared
+    /// with the tests alone, as if no other groups were there.
     pub(crate) fn variances(&self, (excess, squares): (&DVector<f64>, &DVector<f64>)) -> Vec<Vec<Option<f64>>> {
-        let (levels, p) = (self.levels(), self.states);
-        let of_level = |sums: &DVector<f64>, i: usize| (0..levels).map(|l| sums[l * p + i]).collect::<Vec<f64>>();
-        let of_state = |i: usize| variances_of_state(&of_level(excess, i), &of_level(squares, i));
+        let (levels, p, nested) = (self.levels(), self.states, self.grouping.nested() + 1);
+        let of_levels = |which: &[usize], i: usize| -> Vec<Option<f64>> {
+            let of = |sums: &DVector<f64>| which.iter().map(|l| sums[l * p + i]).collect::<Vec<f64>>();
+            variances_of_state(&of(excess), &of(squares))
+        };
+        let of_state = |i: usize| {
+            let mut found = of_levels(&(0..nested).collect::<Vec<usize>>(), i);
+            found.extend((nested..levels).map(|level| of_levels(&[0, level], i)[1]));
+            found
+        };
         let by_state: Vec<Vec<Option<f64>>> = (0..p).map(of_state).collect();
         (0..levels).map(|level| by_state.iter().map(|found| found[level]).collect()).collect()
     }
@@ -66,13 +81,9 @@ impl UnitDesign {
         for unit in 0..self.units.len() {
             let mut sums = vec![(vec![0.0; p], vec![0.0; p]); self.groups.len()];
             for (member, data) in self.tests.iter().zip(&self.data) {
-                let factor = &leaves[member.leaf].factor;
-                let dot = |row: usize, x: &dyn Fn(usize) -> f64| (row..p).map(|k| factor[(row, k)] * x(k)).sum::<f64>();
-                let residual: Vec<f64> = (0..p).map(|row| scale * data[(row, unit)] - dot(row, &|k| mean[k])).collect();
+                let own = leaves[member.leaf].moments(&|row| scale * data[(row, unit)], mean);
                 let (y, information) = &mut sums[member.group];
-                for i in 0..p {
-                    let own: f64 = (0..=i).map(|row| factor[(row, i)] * residual[row]).sum();
-                    let square: f64 = (0..=i).map(|row| factor[(row, i)].powi(2)).sum();
+                for (i, (own, square)) in own.into_iter().enumerate() {
                     on_moments(0, i, own, square);
                     y[i] += own;
                     information[i] += square;
@@ -89,5 +100,19 @@ impl UnitDesign {
                 }
             }
         }
+    }
+}
+
+impl Leaf {
+    /// (y - Jμ)_i and J_ii of a test with this design, given d.
+    pub(super) fn moments(&self, data: &dyn Fn(usize) -> f64, mean: &[f64]) -> Vec<(f64, f64)> {
+        let (factor, p) = (&self.factor, mean.len());
+        let residual = |row: usize| data(row) - (row..p).map(|k| factor[(row, k)] * mean[k]).sum::<f64>();
+        let residual: Vec<f64> = (0..p).map(residual).collect();
+        let one = |i: usize| {
+            let own = (0..=i).map(|row| factor[(row, i)] * residual[row]).sum();
+            (own, (0..=i).map(|row| factor[(row, i)].powi(2)).sum())
+        };
+        (0..p).map(one).collect()
     }
 }

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::levels::batch_data::BatchData;
 use crate::levels::batches::UnitBatch;
+use crate::levels::crossed;
 use crate::levels::design::UnitDesign;
 use crate::levels::totals::{SumSelection, UnitSums};
 use crate::levels::units::Units;
@@ -26,6 +27,9 @@ const MAX_TASKS: usize = 64;
 /// ℓ and its derivatives at a point. The mean is the sum of the means of all levels, so the derivatives by the mean of
 /// each level are equal.
 pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums {
+    if let Some(crossing) = &units.crossing {
+        return crossed::pass(units, crossing, point, wanted);
+    }
     let flat = wanted.flat.map(|flat| (summed_levels(flat, units.states, units.levels()), flat.covariance));
     let selection = SumSelection {
         flat: flat.as_ref().map(|(jacobian, covariance)| (jacobian, *covariance)),
@@ -43,9 +47,12 @@ pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums
     sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(selection), UnitSums::and), wanted)
 }
 
-/// Calls `of` for each unit with the indices of the tests' reductions and the sums of first order over the unit,
-/// without the constants of the tests.
+/// Calls `of` for each unit, or for each part where groups cross, with the indices of the tests' reductions and the sums
+/// of first order over these tests, without the constants of the tests.
 pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
+    if let Some(crossing) = &units.crossing {
+        return crossed::each_part((units, crossing), point, wanted, of);
+    }
     let selection = SumSelection::of(units, wanted, Order::First);
     for design in units.designs.iter() {
         for (number, unit) in design.units.iter().enumerate() {
@@ -57,7 +64,7 @@ pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of
 }
 
 impl SumSelection<'_> {
-    fn of(units: &Units, wanted: SumsWanted<'_>, order: Order) -> Self {
+    pub(super) fn of(units: &Units, wanted: SumsWanted<'_>, order: Order) -> Self {
         let (states, levels) = (units.states, units.levels());
         SumSelection { order, states, levels, coordinates: states + wanted.regressors.len(), flat: None }
     }
@@ -134,7 +141,7 @@ impl Kernel for UnitKernel<'_> {
 }
 
 /// d(μ, coefficients) / d(free mean coordinates), with μ the sum of the means of all levels.
-fn summed_levels(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
+pub(super) fn summed_levels(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
     let all = flat.jacobian;
     DMatrix::from_fn(all.nrows() - p * (levels - 1), all.ncols(), |row, c| match row.checked_sub(p) {
         None => (0..levels).map(|l| all[(l * p + row, c)]).sum(),
@@ -142,7 +149,8 @@ fn summed_levels(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
     })
 }
 
-fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'_>) -> Sums {
+/// The sums of a pass from the totals over units; `constant`: the constants of the tests.
+pub(super) fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'_>) -> Sums {
     let (p, levels) = (units.states, units.levels());
     let mut sums = wanted.zero_in_groups();
     let all = sums.mean_score.len();

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::levels::batch_data::BatchData;
+use crate::levels::crossed;
 use crate::levels::design::{UnitDesign, UnitMembers};
 use crate::levels::units::Units;
 use crate::levels::walk::{GroupMean, LevelLaws, PassResults};
@@ -52,7 +53,7 @@ pub struct ScaledGroupPosterior {
 }
 
 /// Posterior of a test, with the index of the reduction, or of a group, with the level and the index in the level.
-enum MemberId {
+pub(super) enum MemberId {
     Test(usize, TestPosterior),
     Group(usize, usize, ScaledGroupPosterior),
 }
@@ -65,6 +66,9 @@ pub fn posteriors(
     constants: Option<&[f64]>,
     coordinates: bool,
 ) -> LevelPosteriors {
+    if let Some(crossing) = &units.crossing {
+        return crossed::posteriors((units, crossing), (point, regressors), constants, coordinates);
+    }
     let none;
     let constants = match constants {
         Some(constants) => constants,
@@ -83,12 +87,7 @@ pub fn posteriors(
         tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &upper_roots), all, (g, constants)))).collect()
     };
     let found: Vec<Vec<MemberId>> = units.designs.par_iter().map(of_design).collect();
-    let mut all = LevelPosteriors {
-        tests: vec![TestPosterior::default(); units.grouping.tests()],
-        groups: (0..units.grouping.depth())
-            .map(|level| vec![ScaledGroupPosterior::default(); units.grouping.groups(level).len()])
-            .collect(),
-    };
+    let mut all = empty(units);
     for one in found.into_iter().flatten() {
         match one {
             MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
@@ -96,6 +95,16 @@ pub fn posteriors(
         }
     }
     all
+}
+
+/// Posteriors without numbers, for all tests and groups.
+pub(super) fn empty(units: &Units) -> LevelPosteriors {
+    LevelPosteriors {
+        tests: vec![TestPosterior::default(); units.grouping.tests()],
+        groups: (0..units.grouping.depth())
+            .map(|level| vec![ScaledGroupPosterior::default(); units.grouping.groups(level).len()])
+            .collect(),
+    }
 }
 
 /// Units of one design: members, data, and results of the upward and downward pass.

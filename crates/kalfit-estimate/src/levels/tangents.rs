@@ -73,14 +73,14 @@ type WeightTangent<T> = Option<TangentPair<T>>;
 impl SigmaElement {
     /// Positions of the element in the matrix: two, or one on the diagonal.
     #[inline(always)]
-    fn places(self) -> impl Iterator<Item = (usize, usize)> {
+    pub(super) fn places(self) -> impl Iterator<Item = (usize, usize)> {
         let places = [(self.row, self.column), (self.column, self.row)];
         places.into_iter().take(if self.row == self.column { 1 } else { 2 })
     }
 
     /// The matrix E.
     #[inline(always)]
-    fn matrix<T: Lanes>(self, p: usize) -> Rows<T> {
+    pub(super) fn matrix<T: Lanes>(self, p: usize) -> Rows<T> {
         let mut matrix = Rows::zeros(p, p);
         for place in self.places() {
             matrix[place] = T::splat(1.0);

@@ -134,7 +134,7 @@ impl<T: Lanes> UnitSums<T> {
 
     /// Adds ½ (r_c r_d' + r_d r_c') for each pair of free mean coordinates.
     #[inline(always)]
-    fn spread(&mut self, level: usize, free: &Rows<T>, count: T) {
+    pub(super) fn spread(&mut self, level: usize, free: &Rows<T>, count: T) {
         let (p, q) = (free.nrows(), free.ncols());
         let (first, half) = (level * pairs(p), T::splat(0.5) * count);
         for c in 0..q {
@@ -276,7 +276,7 @@ impl UnitSums {
 
 /// For each mean coordinate the state of a test that the coordinate moves, and d(state) / d(coordinate).
 #[inline(always)]
-fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
+pub(super) fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
     let states = (0..at.mean.len()).map(
         #[inline(always)]
         |i| (i, T::splat(1.0)),
@@ -287,12 +287,12 @@ fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl It
 /// Columns of r for the free mean coordinates: the first columns of `r`, one for each mean coordinate, times
 /// `jacobian`.
 #[inline(always)]
-fn free_columns<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
+pub(super) fn free_columns<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
     r.first_columns(jacobian.nrows()).times(&numbers(jacobian))
 }
 
 #[inline(always)]
-fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
+pub(super) fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
     Rows::from_fn(
         matrix.nrows(),
         matrix.ncols(),
@@ -303,7 +303,7 @@ fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
 
 /// sum ← sum + AB', over the columns of A and B from `before` on.
 #[inline(always)]
-fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), before: usize) {
+pub(super) fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), before: usize) {
     for i in 0..a.nrows() {
         for k in 0..b.nrows() {
             let mut product = T::splat(0.0);
@@ -316,7 +316,7 @@ fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), befor
 }
 
 #[inline(always)]
-fn add<T: Lanes>(sum: &mut Rows<T>, scale: T, more: &Rows<T>) {
+pub(super) fn add<T: Lanes>(sum: &mut Rows<T>, scale: T, more: &Rows<T>) {
     for i in 0..more.nrows() {
         for (sum, &x) in sum.row_mut(i).iter_mut().zip(more.row(i)) {
             *sum = scale.fma(x, *sum);

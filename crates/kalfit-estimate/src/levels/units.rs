@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::classes::Classes;
 use crate::frame::Frame;
 use crate::levels::batches::{UnitBatch, batches};
+use crate::levels::crossed::Crossing;
 use crate::levels::design::{Leaf, UnitDesign, UnitMembers, UnitTest};
 use crate::levels::trees::{FlatUnit, GroupTree, trees};
 use kalfit_algebra::rows::Rows;
@@ -35,6 +36,8 @@ pub struct Units {
     pub(super) designs: Arc<Vec<UnitDesign>>,
     /// Units that are evaluated in lanes.
     pub(super) batches: Arc<Vec<UnitBatch>>,
+    /// The tests where groups cross, in place of `designs` and `batches`.
+    pub(super) crossing: Option<Arc<Crossing>>,
 }
 
 impl Units {
@@ -56,9 +59,17 @@ impl Units {
             let ungrouped = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none());
             return Err(ungrouped.map_or(String::new(), |reduction| reduction.test.to_owned()));
         };
+        let crossing = grouping
+            .is_crossed()
+            .then(|| Crossing::new(reductions, &leaf_of, (grouping, &numbers), (frame, states)))
+            .map(Arc::new);
         let mut index_of_kind: HashMap<usize, usize> = HashMap::new();
         let mut trees_by_design: Vec<Vec<GroupTree>> = Vec::new();
-        for tree in trees(reductions, &leaf_of, (grouping, &numbers)) {
+        let trees = match crossing {
+            Some(_) => Vec::new(),
+            None => trees(reductions, &leaf_of, (grouping, &numbers)),
+        };
+        for tree in trees {
             let at = *index_of_kind.entry(tree.kind).or_insert(trees_by_design.len());
             if at == trees_by_design.len() {
                 trees_by_design.push(Vec::new());
@@ -76,6 +87,7 @@ impl Units {
             leaves: Arc::new((0..classes.len()).into_par_iter().map(leaf).collect()),
             batches: Arc::new(batches(&designs)),
             designs: Arc::new(designs),
+            crossing,
         })
     }
 
@@ -101,6 +113,11 @@ impl Units {
         Units { batches: Arc::new(batches(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
     }
 
+    /// Whether groups cross, so that units are not independent.
+    pub(crate) fn is_crossed(&self) -> bool {
+        self.crossing.is_some()
+    }
+
     /// Number of units.
     pub(crate) fn len(&self) -> usize {
         self.designs.iter().map(|design| design.units.len()).sum()
@@ -113,6 +130,9 @@ impl Units {
 
     /// Number of tests, then number of groups of each level.
     pub(crate) fn counts(&self) -> Vec<f64> {
+        if let Some(crossing) = &self.crossing {
+            return crossing.counts();
+        }
         let mut counts = vec![0.0; self.levels()];
         for design in self.designs.iter() {
             let units = design.units.len() as f64;
@@ -154,7 +174,7 @@ impl UnitDesign {
 }
 
 /// Entry i of d - R × centre of the frame, for a test whose reduction is [`stacked`].
-fn from_centre(reduction: ReductionRef<'_>, frame: &Frame, i: usize) -> f64 {
+pub(super) fn from_centre(reduction: ReductionRef<'_>, frame: &Frame, i: usize) -> f64 {
     let moved = (i..reduction.data.len()).map(|k| reduction.factor[pair(k, 0) + i] * frame.centre[k]);
     reduction.data[i] - moved.sum::<f64>()
 }

@@ -29,13 +29,13 @@ pub(super) struct LevelLaws<'a, T = f64> {
 /// Matrices of a reduction with the effect of its level integrated out.
 pub(super) struct Integrated<T> {
     /// U, upper triangular, with U'U = I + RΣR'.
-    upper: Rows<T>,
+    pub(super) upper: Rows<T>,
     /// B = U⁻ᵀR.
-    half: Rows<T>,
+    pub(super) half: Rows<T>,
     /// W = B'B.
     pub(super) W: Rows<T>,
     /// log|I + RΣR'|.
-    log_det: T,
+    pub(super) log_det: T,
 }
 
 /// Upward result of a group: information of the group's tests on the mean of the enclosing group.
@@ -143,7 +143,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
     /// Columns of one test: `before` columns with R times the effect of each mean coordinate on ξ, then d - Rμ in each
     /// unit.
     #[inline(always)]
-    fn data(&self, (leaf, data): (&Leaf<T>, &Rows<T>), before: usize) -> Rows<T> {
+    pub(super) fn data(&self, (leaf, data): (&Leaf<T>, &Rows<T>), before: usize) -> Rows<T> {
         let (p, mean) = (self.mean.len(), self.mean_of(leaf));
         let mut all = Rows::zeros(p, before + data.ncols());
         for i in 0..p {
@@ -347,7 +347,7 @@ fn squares<T: Lanes>(left: &Rows<T>) -> Vec<T> {
 impl<T: Lanes> Integrated<T> {
     /// Integrates out the effect of a level, from R and F'.
     #[inline(always)]
-    fn of(factor: &Rows<T>, root: &Rows<T>) -> Integrated<T> {
+    pub(super) fn of(factor: &Rows<T>, root: &Rows<T>) -> Integrated<T> {
         let upper = Rotations::identity_plus(&root.times_transpose(factor));
         let log_det = T::apart(LogDet(&upper));
         let half = Rows::solved_transposed(&upper, factor.clone());

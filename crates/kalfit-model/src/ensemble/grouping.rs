@@ -1,19 +1,21 @@
-//! Groups of tests, level by level (theory §11).
+//! Groups of tests: levels of groups within groups (theory §11), and factors whose groups cross these (theory §16).
 
 use std::collections::HashMap;
 
 use crate::ensemble::Label;
 
-/// The groups that each test belongs to, level by level.
+/// The groups that each test belongs to, level by level: the nested levels, the innermost first, then the crossed
+/// factors, each as a level whose groups stand in no other group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grouping {
     /// Index of each test, by the id of the test.
     numbers: HashMap<String, usize>,
-    /// For each level, the innermost first, the index in `groups` of the group of each test.
+    /// For each level the index in `groups` of the group of each test.
     of_test: Vec<Vec<usize>>,
-    /// The groups of each level, the innermost level first; the groups of a level are in the order of first mention by
-    /// tests.
+    /// The groups of each level; the groups of a level are in the order of first mention by tests.
     groups: Vec<Vec<Group>>,
+    /// Number of nested levels.
+    nested: usize,
 }
 
 /// A group of tests.
@@ -30,31 +32,94 @@ pub struct Group {
 impl Grouping {
     /// Groups tests, each given by (id, names of the `depth` groups of the test, the outermost first).
     pub fn from_paths<'a>(depth: usize, tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>) -> Grouping {
-        let mut grouping =
-            Grouping { numbers: HashMap::new(), of_test: vec![Vec::new(); depth], groups: vec![Vec::new(); depth] };
-        let mut known: HashMap<Vec<Label>, usize> = HashMap::new();
+        Grouping::crossed((0, depth), tests)
+    }
+
+    /// Groups tests, each given by (id, names of the groups of the test: one for each of the `factors` crossed factors,
+    /// then one for each of the `nested` levels, the outermost first).
+    pub fn crossed<'a>(
+        (factors, nested): (usize, usize),
+        tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>,
+    ) -> Grouping {
+        let depth = factors + nested;
+        let (of_test, groups) = (vec![Vec::new(); depth], vec![Vec::new(); depth]);
+        let mut grouping = Grouping { numbers: HashMap::new(), of_test, groups, nested };
+        let mut known: HashMap<(usize, Vec<Label>), usize> = HashMap::new();
         for (number, (id, path)) in tests.into_iter().enumerate() {
             grouping.numbers.insert(id.to_owned(), number);
+            for (factor, name) in path[..factors].iter().enumerate() {
+                grouping.join(&mut known, depth - 1 - factor, (vec![*name], None));
+            }
             let mut parent = None;
-            for names in 1..=depth {
-                let level = depth - names;
-                let own = path[..names].to_vec();
-                let groups = &mut grouping.groups[level];
-                let at = *known.entry(own).or_insert_with_key(|path| {
-                    groups.push(Group { path: path.clone(), parent, tests: 0 });
-                    groups.len() - 1
-                });
-                groups[at].tests += 1;
-                grouping.of_test[level].push(at);
-                parent = Some(at);
+            for names in 1..=nested {
+                let own = path[factors..factors + names].to_vec();
+                parent = Some(grouping.join(&mut known, nested - names, (own, parent)));
             }
         }
         grouping
     }
 
-    /// Number of levels of groups.
+    /// Adds the next test to the group of a level that has this path; returns the index of the group.
+    fn join(
+        &mut self,
+        known: &mut HashMap<(usize, Vec<Label>), usize>,
+        level: usize,
+        (path, parent): (Vec<Label>, Option<usize>),
+    ) -> usize {
+        let groups = &mut self.groups[level];
+        let at = *known.entry((level, path)).or_insert_with_key(|(_, path)| {
+            groups.push(Group { path: path.clone(), parent, tests: 0 });
+            groups.len() - 1
+        });
+        groups[at].tests += 1;
+        self.of_test[level].push(at);
+        at
+    }
+
+    /// Number of levels of groups, crossed factors included.
     pub fn depth(&self) -> usize {
         self.groups.len()
+    }
+
+    /// Number of nested levels: levels from this index on are crossed factors.
+    pub fn nested(&self) -> usize {
+        self.nested
+    }
+
+    /// Whether groups of some level cross the groups of others, so that the tests of different groups of the outermost
+    /// nested level are not independent.
+    pub fn is_crossed(&self) -> bool {
+        self.nested < self.depth()
+    }
+
+    /// For each nested group of the outermost level, or each test where there is no nested level, the number of the part
+    /// of the ensemble that it belongs to: groups of different parts have no group in common. Without crossed factors
+    /// each group is a part.
+    pub fn parts(&self) -> Vec<usize> {
+        let unit_of = |test: usize| self.nested.checked_sub(1).map_or(test, |outermost| self.of_test[outermost][test]);
+        let units = self.nested.checked_sub(1).map_or(self.tests(), |outermost| self.groups[outermost].len());
+        let mut parts: Vec<usize> = (0..units).collect();
+        fn root(parts: &mut [usize], mut at: usize) -> usize {
+            while parts[at] != at {
+                parts[at] = parts[parts[at]];
+                at = parts[at];
+            }
+            at
+        }
+        for level in self.nested..self.depth() {
+            let mut first = vec![None; self.groups[level].len()];
+            for test in 0..self.tests() {
+                let unit = unit_of(test);
+                match first[self.of_test[level][test]] {
+                    None => first[self.of_test[level][test]] = Some(unit),
+                    Some(other) => {
+                        let (a, b) = (root(&mut parts, unit), root(&mut parts, other));
+                        parts[a.max(b)] = a.min(b);
+                    }
+                }
+            }
+        }
+        (0..units).map(|unit| root(&mut parts, unit)).collect()
     }
 
     /// Number of tests.
@@ -62,7 +127,7 @@ impl Grouping {
         self.numbers.len()
     }
 
-    /// The groups of a level, the innermost being level 0.
+    /// The groups of a level, the innermost being level 0; crossed factors follow the outermost nested level.
     pub fn groups(&self, level: usize) -> &[Group] {
         &self.groups[level]
     }
@@ -94,5 +159,19 @@ mod tests {
         assert_eq!(grouping.groups(0)[2], Group { path: path([0, 3]), parent: Some(0), tests: 1 });
         assert_eq!(grouping.groups(1)[1], Group { path: vec![Label::literal(2)], parent: None, tests: 1 });
         assert_eq!((grouping.number("c"), grouping.number("e")), (Some(2), None));
+        assert_eq!((grouping.nested(), grouping.is_crossed(), grouping.parts()), (2, false, vec![0, 1]));
+    }
+
+    #[test]
+    fn units_that_meet_one_station_are_one_part() {
+        // (station, unit): units 0 and 1 share station 7, unit 2 is alone at station 8
+        let path = |names: [usize; 2]| names.map(Label::literal).to_vec();
+        let tests = [("a", [7, 0]), ("b", [6, 0]), ("c", [8, 2]), ("d", [7, 1])];
+        let grouping = Grouping::crossed((1, 1), tests.map(|(id, names)| (id, path(names))));
+        assert_eq!((grouping.depth(), grouping.nested(), grouping.is_crossed()), (2, 1, true));
+        assert_eq!((grouping.groups(0).len(), grouping.groups(1).len()), (3, 3));
+        let stations: Vec<usize> = (0..4).map(|test| grouping.group_of(test, 1)).collect();
+        assert_eq!((stations, grouping.parts()), (vec![0, 1, 2, 0], vec![0, 1, 0]));
+        assert_eq!(grouping.groups(1)[0], Group { path: vec![Label::literal(7)], parent: None, tests: 2 });
     }
 }

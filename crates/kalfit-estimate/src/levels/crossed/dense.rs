@@ -1,0 +1,175 @@
+//! The system over all levels of the crossed factors of a part (theory §16, (A2), (A3)).
+#![expect(non_snake_case, reason = "K, C, N, L are the letters of the theory")]
+
+use nalgebra::DMatrix;
+
+use crate::levels::crossed::layout::{Crossing, Part, Unit};
+use crate::levels::walk::LevelLaws;
+use kalfit_algebra::rows::Rows;
+
+/// The posterior of all levels of a part, given the measurements, at Σ; M = levels × p.
+pub(super) struct Dense {
+    /// K, M × M.
+    pub(super) K: DMatrix<f64>,
+    /// C = L(I+L'KL)⁻¹L' = Var[b | z], M × M.
+    pub(super) C: DMatrix<f64>,
+    /// U⁻ᵀL'K with U'U = I + L'KL, so that KCK = root' root.
+    root: DMatrix<f64>,
+    /// U⁻ᵀL'.
+    half: DMatrix<f64>,
+    /// log|I + L'KL|.
+    pub(super) log_det: f64,
+    p: usize,
+}
+
+impl Dense {
+    /// Solves the system of a part.
+    pub(super) fn new(K: DMatrix<f64>, part: &Part, crossing: &Crossing, at: &LevelLaws<'_>) -> Dense {
+        let (p, size) = (at.mean.len(), K.nrows());
+        // L without the columns that are zero
+        let columns: Vec<Vec<usize>> = crossing
+            .factors
+            .iter()
+            .map(|&block| (0..p).filter(|&c| at.roots[block].row(c).iter().any(|x| *x != 0.0)).collect())
+            .collect();
+        let width: usize = part.levels.iter().map(|(factor, _)| columns[*factor].len()).sum();
+        let mut L = DMatrix::zeros(size, width);
+        let mut first = 0;
+        for (level, (factor, _)) in part.levels.iter().enumerate() {
+            let root = &at.roots[crossing.factors[*factor]];
+            for &c in &columns[*factor] {
+                (0..p).for_each(|i| L[(level * p + i, first)] = root[(c, i)]);
+                first += 1;
+            }
+        }
+        let KL = times_sparse(&K, &L);
+        let system = DMatrix::identity(width, width) + transpose_times_sparse(&L, &KL);
+        let upper = upper_factor(system);
+        let log_det = 2.0 * (0..width).map(|i| upper[(i, i)].ln()).sum::<f64>();
+        let mut half = L.transpose();
+        solve_transposed(&upper, &mut half);
+        let mut root = KL.transpose();
+        solve_transposed(&upper, &mut root);
+        let C = half.transpose() * &half;
+        Dense { K, C, root, half, log_det, p }
+    }
+
+    /// N of a level: K - KCK, the information of all measurements on the effect of the level, p × p.
+    pub(super) fn weight(&self, level: usize) -> Rows {
+        let (p, own) = (self.p, level * self.p);
+        let column = |k: usize| self.root.column(own + k);
+        Rows::from_fn(p, p, |i, k| self.K[(own + i, own + k)] - column(i).dot(&column(k)))
+    }
+
+    /// I - KC, M × M.
+    pub(super) fn rest(&self) -> DMatrix<f64> {
+        DMatrix::identity(self.K.nrows(), self.K.nrows()) - self.root.transpose() * &self.half
+    }
+
+    /// K - KCK, M × M.
+    pub(super) fn weights(&self) -> DMatrix<f64> {
+        &self.K - self.root.transpose() * &self.root
+    }
+}
+
+/// The blocks of a matrix over the levels of a part that a unit meets.
+pub(super) fn gathered(all: &DMatrix<f64>, unit: &Unit, p: usize) -> Rows {
+    let width = unit.met.len() * p;
+    Rows::from_fn(width, width, |i, k| all[(unit.met[i / p] * p + i % p, unit.met[k / p] * p + k % p)])
+}
+
+/// Rows of the levels that a unit meets, of a matrix with a row for each state of each level.
+pub(super) fn rows_of(all: &DMatrix<f64>, unit: &Unit, p: usize) -> Rows {
+    Rows::from_fn(unit.met.len() * p, all.ncols(), |i, c| all[(unit.met[i / p] * p + i % p, c)])
+}
+
+/// AB for a B with few entries in each column.
+fn times_sparse(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut product = DMatrix::zeros(a.nrows(), b.ncols());
+    for (c, mut column) in product.column_iter_mut().enumerate() {
+        for (k, &x) in b.column(c).iter().enumerate().filter(|(_, x)| **x != 0.0) {
+            column.axpy(x, &a.column(k), 1.0);
+        }
+    }
+    product
+}
+
+/// A'B for an A with few entries in each column.
+fn transpose_times_sparse(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+    let entries: Vec<Vec<(usize, f64)>> =
+        (0..a.ncols()).map(|c| a.column(c).iter().copied().enumerate().filter(|(_, x)| *x != 0.0).collect()).collect();
+    DMatrix::from_fn(a.ncols(), b.ncols(), |i, c| entries[i].iter().map(|&(k, x)| x * b[(k, c)]).sum())
+}
+
+/// Width of a panel of [`upper_factor`] and [`solve_transposed`].
+const PANEL: usize = 64;
+
+/// U, upper triangular, with U'U = A for A ≥ I, panel by panel: most of the work is a product of matrices.
+fn upper_factor(mut a: DMatrix<f64>) -> DMatrix<f64> {
+    let n = a.nrows();
+    for from in (0..n).step_by(PANEL) {
+        let to = (from + PANEL).min(n);
+        for k in from..to {
+            for i in from..k {
+                let dot: f64 = (from..i).map(|row| a[(row, i)] * a[(row, k)]).sum();
+                a[(i, k)] = (a[(i, k)] - dot) / a[(i, i)];
+            }
+            let square: f64 = (from..k).map(|row| a[(row, k)].powi(2)).sum();
+            a[(k, k)] = (a[(k, k)] - square).max(f64::MIN_POSITIVE).sqrt();
+        }
+        if to == n {
+            break;
+        }
+        for k in to..n {
+            for i in from..to {
+                let dot: f64 = (from..i).map(|row| a[(row, i)] * a[(row, k)]).sum();
+                a[(i, k)] = (a[(i, k)] - dot) / a[(i, i)];
+            }
+        }
+        let panel = a.view((from, to), (to - from, n - to)).into_owned();
+        let mut rest = a.view_mut((to, to), (n - to, n - to));
+        rest.gemm(-1.0, &panel.transpose(), &panel, 1.0);
+    }
+    for k in 0..n {
+        (k + 1..n).for_each(|i| a[(i, k)] = 0.0);
+    }
+    a
+}
+
+/// B ← U⁻ᵀB, panel by panel.
+fn solve_transposed(upper: &DMatrix<f64>, b: &mut DMatrix<f64>) {
+    let (n, columns) = b.shape();
+    for from in (0..n).step_by(PANEL) {
+        let to = (from + PANEL).min(n);
+        for c in 0..columns {
+            for i in from..to {
+                let dot: f64 = (from..i).map(|row| upper[(row, i)] * b[(row, c)]).sum();
+                b[(i, c)] = (b[(i, c)] - dot) / upper[(i, i)];
+            }
+        }
+        if to < n {
+            let solved = b.view((from, 0), (to - from, columns)).into_owned();
+            let panel = upper.view((from, to), (to - from, n - to)).transpose();
+            b.view_mut((to, 0), (n - to, columns)).gemm(-1.0, &panel, &solved, 1.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn factors_and_solutions_are_those_of_the_matrix_at_every_width() {
+        for n in [0, 1, 5, PANEL, PANEL + 1, 3 * PANEL - 7] {
+            let a = DMatrix::from_fn(n, n, |i, k| ((3 * i + 7 * k) as f64).sin());
+            let square = DMatrix::identity(n, n) + a.transpose() * &a;
+            let upper = upper_factor(square.clone());
+            assert!((upper.transpose() * &upper - &square).amax() < 1e-11 * (1.0 + square.amax()), "{n}");
+            let b = DMatrix::from_fn(n, 3, |i, k| ((i + 2 * k) as f64).cos());
+            let mut x = b.clone();
+            solve_transposed(&upper, &mut x);
+            assert!((upper.transpose() * x - b).amax() < 1e-11, "{n}");
+        }
+    }
+}

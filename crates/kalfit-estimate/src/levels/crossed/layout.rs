@@ -1,0 +1,244 @@
+//! Units, tests and the levels of crossed factors, by parts of the ensemble that have no level in common.
+
+use std::collections::HashMap;
+
+use crate::frame::Frame;
+use crate::levels::design::Leaf;
+use crate::levels::units::from_centre;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Grouping;
+
+/// Tests in units, whose groups are eliminated one by one, and the levels of crossed factors, which are left in one
+/// dense system for each part.
+#[derive(Debug, Clone)]
+pub(in crate::levels) struct Crossing {
+    /// Block of Σ of each kind of group that is eliminated, the innermost first: the nested levels, or without any the
+    /// largest factor.
+    pub(super) tree: Vec<usize>,
+    /// Block of Σ of each factor of the dense systems.
+    pub(super) factors: Vec<usize>,
+    pub(super) parts: Vec<Part>,
+}
+
+/// Units that share levels of crossed factors with each other, and with no other unit.
+#[derive(Debug, Clone)]
+pub(super) struct Part {
+    /// For each level that the tests of the part meet: index in [`Crossing::factors`], and index among the groups.
+    pub(super) levels: Vec<(usize, usize)>,
+    pub(super) units: Vec<Unit>,
+}
+
+/// A group of the outermost kind that is eliminated, with the groups and tests inside.
+#[derive(Debug, Clone)]
+pub(super) struct Unit {
+    /// The groups, each before the group that contains it; the last group is the unit.
+    pub(super) groups: Vec<TreeGroup>,
+    pub(super) tests: Vec<CrossedTest>,
+    /// Indices in [`Part::levels`] of the levels that tests of the unit meet, ascending.
+    pub(super) met: Vec<usize>,
+}
+
+/// A group that is eliminated.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TreeGroup {
+    /// Index in [`Crossing::tree`].
+    pub(super) kind: usize,
+    /// Index of the group that contains this group; the unit has the index of the unit.
+    pub(super) parent: usize,
+    /// Index among all groups of its level.
+    pub(super) number: usize,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct CrossedTest {
+    /// Index of the design.
+    pub(super) leaf: usize,
+    /// Index of the reduction.
+    pub(super) reduction: usize,
+    /// Innermost group.
+    pub(super) group: usize,
+    /// Indices in [`Unit::met`] of the levels that the test meets, one for each factor.
+    pub(super) members: Vec<usize>,
+    /// d relative to the centre (p).
+    pub(super) data: Vec<f64>,
+}
+
+impl Crossing {
+    /// The tests of `reductions`, with `leaf_of` the design of each, in the order of their ids.
+    pub(in crate::levels) fn new(
+        reductions: &Reductions,
+        leaf_of: &[usize],
+        (grouping, numbers): (&Grouping, &[usize]),
+        (frame, p): (&Frame, usize),
+    ) -> Crossing {
+        let (tree, factors) = kinds(grouping);
+        let mut order: Vec<usize> = (0..reductions.len()).collect();
+        order.sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
+        let mut unit_of: HashMap<usize, usize> = HashMap::new();
+        let mut tests_of_units: Vec<Vec<usize>> = Vec::new();
+        let outermost = tree[tree.len() - 1] - 1;
+        for &j in &order {
+            let unit = *unit_of.entry(grouping.group_of(numbers[j], outermost)).or_insert(tests_of_units.len());
+            if unit == tests_of_units.len() {
+                tests_of_units.push(Vec::new());
+            }
+            tests_of_units[unit].push(j);
+        }
+        let level_of = |j: usize, factor: usize| grouping.group_of(numbers[j], factors[factor] - 1);
+        let met = |tests: &Vec<usize>| -> Vec<(usize, usize)> {
+            let of_test = |&j: &usize| (0..factors.len()).map(move |factor| (factor, level_of(j, factor)));
+            tests.iter().flat_map(of_test).collect()
+        };
+        let met_by_unit: Vec<Vec<(usize, usize)>> = tests_of_units.iter().map(met).collect();
+        let parts = connected(&met_by_unit).into_iter().map(|units| {
+            let mut levels: Vec<(usize, usize)> = Vec::new();
+            let mut place: HashMap<(usize, usize), usize> = HashMap::new();
+            for &level in units.iter().flat_map(|&unit| &met_by_unit[unit]) {
+                place.entry(level).or_insert_with(|| {
+                    levels.push(level);
+                    levels.len() - 1
+                });
+            }
+            let units = units.iter().map(|&unit| {
+                let groups = Tree::of(&tests_of_units[unit], (grouping, numbers), &tree);
+                let mut met: Vec<usize> = met_by_unit[unit].iter().map(|level| place[level]).collect();
+                met.sort_unstable();
+                met.dedup();
+                let test = |(&j, &group): (&usize, &usize)| CrossedTest {
+                    leaf: leaf_of[j],
+                    reduction: j,
+                    group,
+                    members: (0..factors.len())
+                        .map(|factor| place[&(factor, level_of(j, factor))])
+                        .map(|level| met.binary_search(&level).expect("the unit meets it"))
+                        .collect(),
+                    data: (0..p).map(|i| from_centre(reductions.get(j), frame, i)).collect(),
+                };
+                let tests = tests_of_units[unit].iter().zip(&groups.of_test).map(test).collect();
+                Unit { groups: groups.groups, tests, met }
+            });
+            let units = units.collect();
+            Part { levels, units }
+        });
+        let parts = parts.collect();
+        Crossing { tree, factors, parts }
+    }
+
+    /// Number of tests, then number of groups of each level that tests are in.
+    pub(in crate::levels) fn counts(&self) -> Vec<f64> {
+        let mut counts = vec![0.0; 1 + self.tree.len() + self.factors.len()];
+        for part in &self.parts {
+            part.levels.iter().for_each(|(factor, _)| counts[self.factors[*factor]] += 1.0);
+            for unit in &part.units {
+                counts[0] += unit.tests.len() as f64;
+                unit.groups.iter().for_each(|group| counts[self.tree[group.kind]] += 1.0);
+            }
+        }
+        counts
+    }
+
+    /// Calls `on_moments` with the block of Σ, the state i, (y - Jμ)_i and J_ii of each test, and of the sum over each
+    /// group and level.
+    pub(in crate::levels) fn moments(
+        &self,
+        leaves: &[Leaf],
+        (mean, scale): (&[f64], f64),
+        on_moments: &mut dyn FnMut(usize, usize, f64, f64),
+    ) {
+        let p = mean.len();
+        let none = vec![(0.0, 0.0); p];
+        let add = |sum: &mut Vec<(f64, f64)>, own: &[(f64, f64)]| {
+            sum.iter_mut().zip(own).for_each(|(sum, own)| *sum = (sum.0 + own.0, sum.1 + own.1));
+        };
+        for part in &self.parts {
+            let mut levels = vec![none.clone(); part.levels.len()];
+            let mut tell = |block: usize, sums: &[(f64, f64)]| {
+                sums.iter().enumerate().for_each(|(i, (y, information))| on_moments(block, i, *y, *information));
+            };
+            for unit in &part.units {
+                let mut groups = vec![none.clone(); unit.groups.len()];
+                for test in &unit.tests {
+                    let own = leaves[test.leaf].moments(&|row| scale * test.data[row], mean);
+                    tell(0, &own);
+                    add(&mut groups[test.group], &own);
+                    test.members.iter().for_each(|&member| add(&mut levels[unit.met[member]], &own));
+                }
+                for (at, group) in unit.groups.iter().enumerate() {
+                    let own = groups[at].clone();
+                    tell(self.tree[group.kind], &own);
+                    if group.parent != at {
+                        add(&mut groups[group.parent], &own);
+                    }
+                }
+            }
+            part.levels.iter().zip(&levels).for_each(|((factor, _), own)| tell(self.factors[*factor], own));
+        }
+    }
+}
+
+/// Blocks of Σ of the groups that are eliminated, and of the factors that are left.
+fn kinds(grouping: &Grouping) -> (Vec<usize>, Vec<usize>) {
+    let (nested, depth) = (grouping.nested(), grouping.depth());
+    if nested > 0 {
+        return ((1..=nested).collect(), (nested + 1..=depth).collect());
+    }
+    // the first of the largest
+    let largest = (0..depth).rev().max_by_key(|&level| grouping.groups(level).len()).unwrap_or(0);
+    (vec![largest + 1], (0..depth).filter(|&level| level != largest).map(|level| level + 1).collect())
+}
+
+/// Units that are connected by levels, as lists in the order of their first unit.
+fn connected(met_by_unit: &[Vec<(usize, usize)>]) -> Vec<Vec<usize>> {
+    let mut root: Vec<usize> = (0..met_by_unit.len()).collect();
+    fn find(root: &mut [usize], mut at: usize) -> usize {
+        while root[at] != at {
+            root[at] = root[root[at]];
+            at = root[at];
+        }
+        at
+    }
+    let mut first: HashMap<(usize, usize), usize> = HashMap::new();
+    for (unit, met) in met_by_unit.iter().enumerate() {
+        for level in met {
+            let other = *first.entry(*level).or_insert(unit);
+            let (a, b) = (find(&mut root, unit), find(&mut root, other));
+            root[a.max(b)] = a.min(b);
+        }
+    }
+    let mut parts: Vec<Vec<usize>> = vec![Vec::new(); met_by_unit.len()];
+    for unit in 0..met_by_unit.len() {
+        parts[find(&mut root, unit)].push(unit);
+    }
+    parts.retain(|units| !units.is_empty());
+    parts
+}
+
+/// The groups of one unit, and the innermost group of each of its tests.
+struct Tree {
+    groups: Vec<TreeGroup>,
+    of_test: Vec<usize>,
+}
+
+impl Tree {
+    fn of(tests: &[usize], (grouping, numbers): (&Grouping, &[usize]), tree: &[usize]) -> Tree {
+        let mut index: HashMap<(usize, usize), usize> = HashMap::new();
+        let mut groups: Vec<TreeGroup> = Vec::new();
+        for (kind, block) in tree.iter().enumerate() {
+            for &j in tests {
+                let number = grouping.group_of(numbers[j], block - 1);
+                index.entry((kind, number)).or_insert_with(|| {
+                    groups.push(TreeGroup { kind, parent: groups.len(), number });
+                    groups.len() - 1
+                });
+            }
+        }
+        for &j in tests {
+            for kind in 1..tree.len() {
+                let at = |kind: usize| index[&(kind, grouping.group_of(numbers[j], tree[kind] - 1))];
+                groups[at(kind - 1)].parent = at(kind);
+            }
+        }
+        let of_test = tests.iter().map(|&j| index[&(0, grouping.group_of(numbers[j], tree[0] - 1))]).collect();
+        Tree { groups, of_test }
+    }
+}

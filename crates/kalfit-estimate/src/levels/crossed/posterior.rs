@@ -1,0 +1,226 @@
+//! The posterior of ξ of every test, and of the mean of the members of every group and level, given all tests.
+
+use rayon::prelude::*;
+
+use crate::levels::crossed::layout::{Crossing, Part, TreeGroup, Unit};
+use crate::levels::crossed::respond::{PartAt, Response};
+use crate::levels::crossed::totals::{DataColumns, leaves};
+use crate::levels::posterior::{LevelPosteriors, MemberId, ScaledGroupPosterior, TestPosterior, empty};
+use crate::levels::units::Units;
+use crate::levels::walk::{GroupMean, Integrated, LevelLaws};
+use crate::point::{Point, Regressors};
+use kalfit_algebra::rows::Rows;
+use kalfit_algebra::symmetric;
+use nalgebra::{DMatrix, DVector};
+
+/// Eigenvalue of N, relative to the largest, below which a direction is not informed.
+const RANK_TOLERANCE: f64 = 1e-10;
+
+/// The posteriors at a point. The mean of the members of a group is μ plus the effects of the group and of the groups
+/// around it; that of a level of a factor is μ plus the effect of the level. The distance of a group is r'N⁺r, which is
+/// χ² with as many degrees of freedom as N has ranks, given all other tests. `constants`: constants of the reductions;
+/// log densities of groups by themselves are computed where they are given.
+pub(in crate::levels) fn posteriors(
+    (units, crossing): (&Units, &Crossing),
+    (point, regressors): (&Point, &Regressors),
+    constants: Option<&[f64]>,
+    coordinates: bool,
+) -> LevelPosteriors {
+    let at = LevelLaws::<f64>::new(units, point, regressors);
+    let leaves = leaves(units, &at);
+    let given = Given { units, crossing, at: &at, leaves: &leaves, constants, coordinates };
+    let found: Vec<Vec<MemberId>> = crossing.parts.par_iter().map(|part| given.of_part(part)).collect();
+    let mut all = empty(units);
+    for one in found.into_iter().flatten() {
+        match one {
+            MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
+            MemberId::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
+        }
+    }
+    all
+}
+
+struct Given<'a> {
+    units: &'a Units,
+    crossing: &'a Crossing,
+    at: &'a LevelLaws<'a>,
+    leaves: &'a [Integrated<f64>],
+    constants: Option<&'a [f64]>,
+    coordinates: bool,
+}
+
+impl Given<'_> {
+    fn of_part(&self, part: &Part) -> Vec<MemberId> {
+        let before = if self.coordinates { self.at.mean.len() + self.at.regressors.len() } else { 0 };
+        let here = PartAt::new(part, self.crossing, self.at, self.leaves);
+        let data = DataColumns::of(part, self.units, (self.at, self.leaves), before);
+        let response = here.respond(&data.said, before + 1);
+        let mut found = Vec::new();
+        for number in 0..part.units.len() {
+            self.tests(&here, &response, number, &mut found);
+            self.groups(&here, &response, number, &mut found);
+        }
+        let of_level = |level: usize| self.level(&here, &response, level);
+        found.extend((0..part.levels.len()).into_par_iter().map(of_level).collect::<Vec<_>>());
+        found
+    }
+
+    fn tests(&self, here: &PartAt<'_>, response: &Response, number: usize, found: &mut Vec<MemberId>) {
+        let (unit, own) = (&here.part.units[number], &response.units[number]);
+        let p = here.p;
+        let columns = own.tests[0].ncols();
+        for ((test, covariance), r) in unit.tests.iter().zip(&here.weights[number].tests).zip(&own.tests) {
+            let mut above = GroupMean { mean: own.means[test.group].clone(), covariance: covariance.clone() };
+            for &member in &test.members {
+                let row = unit.met[member] * p;
+                for i in 0..p {
+                    for c in 0..columns {
+                        above.mean[(i, c)] += response.effects[(row + i, c)];
+                    }
+                }
+            }
+            let leaf = &self.units.leaves[test.leaf];
+            let mean = GroupMean::of((&self.leaves[test.leaf].W, r), &self.at.sigmas[0], Some(&above));
+            let centre = self.at.mean_of(leaf);
+            let moved = |(i, c): (usize, usize)| self.at.effect(leaf, i, c) - mean.mean[(i, c)];
+            let moved = (0..p).flat_map(|i| (0..columns - 1).map(move |c| (i, c))).map(moved).collect();
+            let posterior = TestPosterior {
+                mean: (0..p).map(|i| centre[i] + mean.mean[(i, columns - 1)]).collect(),
+                covariance: mean.covariance.as_slice().to_vec(),
+                moved,
+            };
+            found.push(MemberId::Test(test.reduction, posterior));
+        }
+    }
+
+    fn groups(&self, here: &PartAt<'_>, response: &Response, number: usize, found: &mut Vec<MemberId>) {
+        let (unit, own) = (&here.part.units[number], &response.units[number]);
+        for (at, group) in unit.groups.iter().enumerate() {
+            let weights = &here.weights[number].groups[at];
+            let alone = self.constants.map_or(0.0, |constants| {
+                let part = here.part.only_unit(number).only(&|unit, test| is_within(unit, test, at));
+                self.log_density(&part, constants)
+            });
+            let posterior = self.group((&own.means[at], &weights.V), (&own.groups[at], &weights.N), alone);
+            found.push(MemberId::Group(self.crossing.tree[group.kind], group.number, posterior));
+        }
+    }
+
+    fn level(&self, here: &PartAt<'_>, response: &Response, level: usize) -> MemberId {
+        let p = here.p;
+        let rows = |all: &DMatrix<f64>| Rows::from_fn(p, all.ncols(), |i, c| all[(level * p + i, c)]);
+        let covariance = Rows::from_fn(p, p, |i, k| here.dense.C[(level * p + i, level * p + k)]);
+        let (factor, group) = here.part.levels[level];
+        let alone = self.constants.map_or(0.0, |constants| {
+            let meets = |unit: &Unit, test: usize| unit.met[unit.tests[test].members[factor]] == level;
+            self.log_density(&here.part.only(&meets), constants)
+        });
+        let (mean, r) = (rows(&response.effects), rows(&response.levels));
+        let posterior = self.group((&mean, &covariance), (&r, &here.dense.weight(level)), alone);
+        MemberId::Group(self.crossing.factors[factor], group, posterior)
+    }
+
+    /// The posterior of a group from the effects (p × columns) with their covariance, and from r with N.
+    fn group(&self, (mean, covariance): (&Rows, &Rows), (r, n): (&Rows, &Rows), alone: f64) -> ScaledGroupPosterior {
+        let (p, last) = (mean.nrows(), mean.ncols() - 1);
+        let follow = |(i, c): (usize, usize)| f64::from(u8::from(i == c)) - mean[(i, c)];
+        let (squared, degrees_of_freedom) = distance(r, n);
+        ScaledGroupPosterior {
+            mean: (0..p).map(|i| self.at.mean[i] + mean[(i, last)]).collect(),
+            covariance: covariance.as_slice().to_vec(),
+            squared,
+            degrees_of_freedom,
+            within: 0.0,
+            log_density: alone,
+            follows: (0..p).flat_map(|i| (0..last).map(move |c| (i, c))).map(follow).collect(),
+        }
+    }
+
+    /// log p of the tests of a part by themselves.
+    fn log_density(&self, part: &Part, constants: &[f64]) -> f64 {
+        let here = PartAt::new(part, self.crossing, self.at, self.leaves);
+        let data = DataColumns::of(part, self.units, (self.at, self.leaves), 0);
+        let response = here.respond(&data.said, 1);
+        let tests = part.units.iter().flat_map(|unit| &unit.tests);
+        let constant: f64 = tests.map(|test| constants[test.reduction]).sum();
+        constant - 0.5 * (here.log_det() + data.products[(0, 0)] - response.explained[(0, 0)])
+    }
+}
+
+/// r'N⁺r of the last column of r, and the rank of N.
+fn distance(r: &Rows, n: &Rows) -> (f64, usize) {
+    let (p, last) = (r.nrows(), r.ncols() - 1);
+    let size = |i: usize| if n[(i, i)] > 0.0 { n[(i, i)].sqrt() } else { 0.0 };
+    let unit = |i: usize| if size(i) > 0.0 { size(i).recip() } else { 0.0 };
+    let scaled = DMatrix::from_fn(p, p, |i, k| 0.5 * (n[(i, k)] + n[(k, i)]) * unit(i) * unit(k));
+    let (values, vectors) = symmetric::eigen(&scaled);
+    let right = DVector::from_fn(p, |i, _| r[(i, last)] * unit(i));
+    let largest = values.last().copied().unwrap_or(0.0);
+    let informed = values.iter().enumerate().filter(|(_, value)| **value > RANK_TOLERANCE * largest && **value > 0.0);
+    informed.fold((0.0, 0), |(sum, rank), (k, value)| (sum + vectors.column(k).dot(&right).powi(2) / value, rank + 1))
+}
+
+/// Whether a test is in a group or in a group inside it.
+fn is_within(unit: &Unit, test: usize, group: usize) -> bool {
+    let mut at = unit.tests[test].group;
+    while at != group && unit.groups[at].parent != at {
+        at = unit.groups[at].parent;
+    }
+    at == group
+}
+
+impl Part {
+    /// The part with one of its units alone.
+    fn only_unit(&self, number: usize) -> Part {
+        Part { levels: self.levels.clone(), units: vec![self.units[number].clone()] }
+    }
+
+    /// The part with the tests alone for which `keep` holds, and with the groups and levels that these meet.
+    fn only(&self, keep: &dyn Fn(&Unit, usize) -> bool) -> Part {
+        let units = self.units.iter().filter_map(|unit| unit.only(&|test| keep(unit, test)));
+        let mut units: Vec<Unit> = units.collect();
+        let mut met: Vec<usize> = units.iter().flat_map(|unit| unit.met.iter().copied()).collect();
+        met.sort_unstable();
+        met.dedup();
+        for unit in &mut units {
+            unit.met.iter_mut().for_each(|level| *level = met.binary_search(level).expect("it is met"));
+        }
+        Part { levels: met.iter().map(|&level| self.levels[level]).collect(), units }
+    }
+}
+
+impl Unit {
+    /// The unit with some of its tests; `None` without any.
+    fn only(&self, keep: &dyn Fn(usize) -> bool) -> Option<Unit> {
+        let kept: Vec<usize> = (0..self.tests.len()).filter(|&test| keep(test)).collect();
+        if kept.is_empty() {
+            return None;
+        }
+        let mut needed = vec![false; self.groups.len()];
+        for &test in &kept {
+            let mut at = self.tests[test].group;
+            while !needed[at] {
+                needed[at] = true;
+                at = self.groups[at].parent;
+            }
+        }
+        let mut place = vec![0; self.groups.len()];
+        let mut count = 0;
+        for (at, needed) in needed.iter().enumerate() {
+            place[at] = count;
+            count += usize::from(*needed);
+        }
+        let groups = self.groups.iter().zip(&needed).filter(|(_, needed)| **needed);
+        let groups = groups.map(|(group, _)| TreeGroup { parent: place[group.parent], ..*group }).collect();
+        let mut members: Vec<usize> = kept.iter().flat_map(|&test| self.tests[test].members.iter().copied()).collect();
+        members.sort_unstable();
+        members.dedup();
+        let tests = kept.iter().map(|&test| {
+            let mut own = self.tests[test].clone();
+            own.group = place[own.group];
+            own.members.iter_mut().for_each(|at| *at = members.binary_search(at).expect("it is a member"));
+            own
+        });
+        Some(Unit { groups, tests: tests.collect(), met: members.iter().map(|&at| self.met[at]).collect() })
+    }
+}

@@ -1,0 +1,96 @@
+//! What is known of the mean of each group and test given all measurements, and N = Z'PZ of each: what depends on
+//! designs alone.
+#![expect(non_snake_case, reason = "W, V, P, N, E are the letters of the theory")]
+
+use crate::levels::crossed::dense::gathered;
+use crate::levels::crossed::eliminated::EliminatedUnit;
+use crate::levels::crossed::layout::{CrossedTest, Unit};
+use crate::levels::walk::Integrated;
+use kalfit_algebra::rows::Rows;
+use nalgebra::DMatrix;
+
+/// Matrices of one unit.
+pub(super) struct UnitWeights {
+    pub(super) groups: Vec<GroupWeights>,
+    /// V of the mean of each test, p × p.
+    pub(super) tests: Vec<Rows>,
+    /// C over the levels that the unit meets.
+    pub(super) C: Rows,
+}
+
+/// Matrices of one group; A is the sum of the effects of the group and of the groups around it.
+pub(super) struct GroupWeights {
+    /// Γ, with E[A | b, z] = α - Γb: p × states of the levels.
+    pub(super) gamma: Rows,
+    /// Var[A | b, z], p × p.
+    pub(super) P: Rows,
+    /// CΓ', states of the levels × p.
+    pub(super) y: Rows,
+    /// Var[A | z] = P + ΓCΓ'.
+    pub(super) V: Rows,
+    /// N of the effect of the group, p × p.
+    pub(super) N: Rows,
+}
+
+impl UnitWeights {
+    /// The matrices of a unit, with C the posterior covariance of all levels of the part.
+    pub(super) fn new(unit: &Unit, own: &EliminatedUnit, leaves: &[Integrated<f64>], C: &DMatrix<f64>) -> UnitWeights {
+        let p = own.groups[0].J.nrows();
+        let C = gathered(C, unit, p);
+        let last = unit.groups.len() - 1;
+        let mut groups: Vec<GroupWeights> = Vec::with_capacity(unit.groups.len());
+        for (number, group) in unit.groups.iter().enumerate().rev() {
+            let above = (group.parent != number).then(|| &groups[last - group.parent]);
+            let eliminated = &own.groups[number];
+            let (mut gamma, mut P) = (eliminated.HD.clone(), eliminated.H.clone());
+            if let Some(above) = above {
+                gamma = gamma.plus(&eliminated.T.times(&above.gamma));
+                P = P.plus(&eliminated.T.times(&above.P).times_transpose(&eliminated.T));
+            }
+            let y = C.times_transpose(&gamma);
+            let V = P.clone().plus(&gamma.times(&y));
+            let known = eliminated.up.times(&C).times_transpose(&eliminated.up);
+            let mut N = eliminated.W.clone().less(&known);
+            if let Some(above) = above {
+                let both = eliminated.up.times(&above.y).times(&eliminated.W);
+                N = N.less(&eliminated.W.times(&above.V).times(&eliminated.W)).plus(&with_transpose(&both));
+            }
+            groups.push(GroupWeights { gamma, P, y, V, N });
+        }
+        groups.reverse();
+        let of_test = |test: &CrossedTest| {
+            debug_assert_eq!(leaves[test.leaf].W.nrows(), p, "states");
+            let above = &groups[test.group];
+            let mut V = above.V.clone();
+            add_members(&mut V, test, &C, &above.y);
+            V
+        };
+        let tests = unit.tests.iter().map(of_test).collect();
+        UnitWeights { groups, tests, C }
+    }
+}
+
+/// Adds ECE' - Ey - (Ey)' to a p × p matrix, with y of the states of the levels × p.
+pub(super) fn add_members(sum: &mut Rows, test: &CrossedTest, C: &Rows, y: &Rows) {
+    let p = sum.nrows();
+    for &member in &test.members {
+        for i in 0..p {
+            let (own, of_mean) = (C.row(member * p + i), y.row(member * p + i));
+            for k in 0..p {
+                let levels: f64 = test.members.iter().map(|other| own[other * p + k]).sum();
+                sum[(i, k)] += levels - of_mean[k];
+                sum[(k, i)] -= of_mean[k];
+            }
+        }
+    }
+}
+
+/// W - WVW.
+pub(super) fn weight(W: &Rows, V: &Rows) -> Rows {
+    W.clone().less(&W.times(V).times(W))
+}
+
+/// A + A'.
+pub(super) fn with_transpose(a: &Rows) -> Rows {
+    a.transposed().plus(a)
+}
