@@ -34,9 +34,9 @@ impl DataError {
             }
             DataError::Infinite { .. } => "write `NA` where there is no measurement".into(),
             DataError::MissingTest { .. } => "every row needs the id of its test".into(),
-            DataError::MissingGroup { .. } => "every row needs the group of its test at every level of `levels` of `[data]`".into(),
+            DataError::MissingGroup { .. } => "every row needs the group of its test in every column of `levels` and `crossed` of `[data]`".into(),
             DataError::TwoGroups { joined: true, .. } => "names that hold a `/` make two tests look like one: write them with another character".into(),
-            DataError::TwoGroups { .. } => "a test is of one group at each level: split the file, or take the column out of `levels` of `[data]`".into(),
+            DataError::TwoGroups { .. } => "a test is of one group of each column of `levels` and `crossed` of `[data]`: split the test, or take the column out there".into(),
             DataError::MissingTime { .. } => "every row needs a time when the model names a time column".into(),
             DataError::NotATime { found, .. } => time_hint(found),
             DataError::TimeDecreases { phase: None, .. } => {

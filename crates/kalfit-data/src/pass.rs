@@ -23,8 +23,10 @@ use crate::wanted::WantedColumns;
 pub(crate) struct PassInput<'a> {
     inputs: &'a [Input],
     wanted: &'a WantedColumns,
-    /// Id of the test of each input; none when a column tells tests apart.
+    /// Id of the test of each input; none when a column tells tests apart, or each row is a test.
     ids: Vec<String>,
+    /// Whether each row is a test, whose id is its number.
+    by_row: bool,
     model: &'a PhasedModel,
 }
 
@@ -50,10 +52,10 @@ impl<'a> PassInput<'a> {
     pub(crate) fn new(
         inputs: &'a [Input],
         wanted: &'a WantedColumns,
-        ids: Vec<String>,
+        (ids, by_row): (Vec<String>, bool),
         model: &'a PhasedModel,
     ) -> PassInput<'a> {
-        PassInput { inputs, wanted, ids, model }
+        PassInput { inputs, wanted, ids, by_row, model }
     }
 }
 
@@ -139,6 +141,9 @@ impl BlockTaker<'_, '_> {
         reading: &mut DataReading,
         sink: &mut S,
     ) -> Result<Demand, ReadError<S::Error>> {
+        if self.job.by_row {
+            return self.take_by_row(block, reading, sink);
+        }
         for run in 0..block.runs() {
             let (rows, id) = block.run(run);
             self.times.check(block, rows.start, self.file.0)?; // before anything else is said of the row
@@ -153,6 +158,25 @@ impl BlockTaker<'_, '_> {
                 TestTurn::New => self.gather.batch().map_or(Ok(()), |batch| hand_over(sink, batch, reading))?,
             }
             self.rows(block, rows, reading)?;
+        }
+        Ok(Demand::More)
+    }
+
+    /// Takes in a block of which each row is a test.
+    fn take_by_row<S: TestSink>(
+        &mut self,
+        block: &mut RowBlock,
+        reading: &mut DataReading,
+        sink: &mut S,
+    ) -> Result<Demand, ReadError<S::Error>> {
+        for row in 0..block.rows {
+            self.times.check(block, row, self.file.0)?;
+            let id = (reading.rows + 1).to_string();
+            self.gather.turn(&id, self.job.wanted.hasher.hash_one(&id));
+            if let Some(batch) = self.gather.batch() {
+                hand_over(sink, batch, reading)?;
+            }
+            self.rows(block, row..row + 1, reading)?;
         }
         Ok(Demand::More)
     }

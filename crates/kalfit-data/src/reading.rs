@@ -49,9 +49,9 @@ pub fn read_from<S: TestSink>(
     let ids = match &layout.test {
         TestKey::Single => vec![SINGLE_TEST.to_owned(); inputs.len()],
         TestKey::File => test_ids(inputs)?,
-        TestKey::Column(_) => Vec::new(),
+        TestKey::Column(_) | TestKey::Row => Vec::new(),
     };
-    let job = PassInput::new(inputs, &wanted, ids, model);
+    let job = PassInput::new(inputs, &wanted, (ids, layout.test == TestKey::Row), model);
     let mut spool = StdinSpool::new(stdin, matches!(layout.test, TestKey::Column(_)));
     if run(&job, gather(model, &wanted, false), &mut reading, sink, &mut spool)? == PassEnd::MustHold {
         sink.restart();

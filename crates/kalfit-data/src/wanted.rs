@@ -84,12 +84,15 @@ impl WantedColumns {
                 self.column(name, "`test` of `[data]`").is_test = true;
                 Some(0)
             }
-            TestKey::File | TestKey::Single => None,
+            TestKey::File | TestKey::Single | TestKey::Row => None,
         };
         for name in &layout.levels {
             self.column(name, "`levels` of `[data]`").is_group = true;
         }
         self.ids = own.iter().flat_map(|own| (1..self.columns.len()).chain([*own])).collect();
+        for name in &layout.crossed {
+            self.column(name, "`crossed` of `[data]`").is_group = true;
+        }
     }
 
     /// The column of this name, known or new.

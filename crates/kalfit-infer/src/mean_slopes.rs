@@ -27,7 +27,7 @@ pub(super) fn add(
     let state = &estimate.state;
     let (problem, point) = (&state.problem, &state.newton_iterate.point);
     let classes = problem.classes.of(evidence);
-    let Some(units) = classes.units.as_ref() else { return };
+    let Some(units) = classes.units.as_ref().filter(|units| !units.grouping.is_crossed()) else { return };
     let elements = elements(estimates);
     let passes = 2.0 * elements.len() as f64 + 1.0;
     if passes * evidence.len() as f64 * 4.0 * (units.states as f64 + 1.0).powi(3) > MOST_MULTIPLICATIONS {

@@ -141,6 +141,12 @@ pub enum Failure {
         /// Why.
         why: &'static str,
     },
+    /// What is not done where groups of tests cross.
+    #[error("{what} where groups of tests cross (`crossed` in `[data]`)")]
+    Crossed {
+        /// What is refused, as the beginning of a sentence.
+        what: &'static str,
+    },
     /// A table of rows of a fit that did not examine single measurements.
     #[error("`--rows` has nothing to write: {why}")]
     NoRows {
@@ -480,6 +486,9 @@ impl Failure {
             Failure::HypothesisParameter { .. } => "a hypothesis restricts what the model leaves free",
             Failure::UnknownUnit(_) => "`--units new` predicts tests of units that nobody has seen",
             Failure::NoUnits { .. } | Failure::OnePhase { .. } => "leave it out",
+            Failure::Crossed { .. } => {
+                "posteriors of tests, units and levels of the fitted data are in the fit; `predict` takes new units at new levels"
+            }
             Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {
                 "a fold holds whole groups: name a column that is the same for all tests of one"
             }

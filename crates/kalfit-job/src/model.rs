@@ -37,6 +37,11 @@ fn swapped(mut failure: Failure, document: &Document, data: &[Datum]) -> Failure
     failure
 }
 
+/// Refuses a model with crossed factors; `what` is not done with it, as the beginning of a sentence.
+pub(crate) fn refuse_crossed(spec: &Spec, what: &'static str) -> Result<(), Failure> {
+    if spec.model.factors().is_empty() { Ok(()) } else { Err(Failure::Crossed { what }) }
+}
+
 /// Reads a model as it stands.
 ///
 /// # Errors

@@ -44,7 +44,7 @@ pub(crate) fn describe(model: NamedText) -> PyResult<ModelDescription> {
     let names = shared.parameters.iter().map(|parameter| parameter.name.clone()).collect();
     let test = match &spec.layout.test {
         TestKey::Column(name) => Some(name.clone()),
-        TestKey::Single | TestKey::File => None,
+        TestKey::Single | TestKey::File | TestKey::Row => None,
     };
     let time = shared.clock.time.map(|column| shared.columns[column].name.clone());
     let levels = spec.layout.levels.clone();

@@ -70,7 +70,7 @@ impl FitRecord {
         let of_estimates = provenance.of_estimates || has_filter_estimates(model, reductions);
         let comparable = !of_estimates && estimate.composite.is_none();
         let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
-        let (phases, levels) = phases_and_levels(model, estimate, inference, reductions);
+        let (phases, levels, crossed) = phases_and_levels(model, estimate, inference, reductions);
         FitRecord {
             schema: "kalfit-fit/1".to_owned(),
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -103,6 +103,7 @@ impl FitRecord {
             },
             phases,
             levels,
+            crossed,
             groups: Vec::new(),
             parameters,
             estimates: estimates(model, inference, slots),

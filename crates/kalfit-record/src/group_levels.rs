@@ -39,6 +39,33 @@ pub struct LevelRecord {
     pub unidentified: Vec<UnidentifiedRecord>,
 }
 
+/// The variation of a crossed factor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FactorRecord {
+    /// Its name, column, number of levels (`groups`) and Σ, as of a level of groups.
+    #[serde(flatten)]
+    pub level: LevelRecord,
+    /// The effect of each level on the estimated states, given all tests; absent where results of tests were not asked
+    /// for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<EffectRecord>,
+}
+
+/// The posterior of the effect of one level of a crossed factor, at the estimated mean.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EffectRecord {
+    /// Name of the level.
+    pub id: String,
+    /// Number of tests that meet it.
+    pub tests: usize,
+    /// Posterior mean of the effect on each estimated state.
+    pub mean: Vec<f64>,
+    /// Posterior standard deviation of each.
+    pub std_dev: Vec<f64>,
+    /// Posterior covariance.
+    pub covariance: SquareRecord,
+}
+
 figures! {
     /// Results of one group.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -104,10 +131,15 @@ impl UnitRecord {
 }
 
 impl FitRecord {
+    /// The crossed factors, then the levels, the outermost first and that of the tests last.
+    pub fn all_levels(&self) -> impl Iterator<Item = &LevelRecord> + Clone {
+        self.crossed.iter().map(|factor| &factor.level).chain(&self.levels)
+    }
+
     /// Distribution of a new test of each group of the innermost level, by the group's name after the names of the
     /// groups that contain it.
     pub fn unit_laws(&self, model: &PhasedModel, population: &Population) -> HashMap<Vec<String>, Initial> {
-        let Some(level) = model.levels.last() else { return HashMap::new() };
+        let Some(level) = model.nested().last() else { return HashMap::new() };
         let p = model.dimension();
         let own = self.groups.iter().filter(|unit| unit.level == level.name);
         let quantities = self.knowledge(model).map(|knowledge| knowledge.quantities).unwrap_or_default();
@@ -135,7 +167,7 @@ impl FitRecord {
         let names = |level: usize, group: usize| -> Vec<String> {
             grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
         };
-        for at in 0..self.tests.len() {
+        for at in 0..if grouping.nested() > 0 { self.tests.len() } else { 0 } {
             let Some(number) = grouping.number(self.tests.get(at).id) else { continue };
             self.tests.groups.set(at, Some(names(0, grouping.group_of(number, 0))));
         }
@@ -160,6 +192,17 @@ impl FitRecord {
         for (at, level) in model.levels.iter().enumerate() {
             let inner = model.levels.len() - 1 - at;
             let Some(found) = inference.groups.get(inner) else { continue };
+            if let (true, Some(factor)) = (level.crossed, self.crossed.get_mut(at)) {
+                let mean = self.phases.first().map_or(&[][..], |phase| &phase.mean.estimate);
+                let effect = |(group, one): (usize, &GroupPosterior)| EffectRecord {
+                    id: names(inner, group).concat(),
+                    tests: one.tests,
+                    mean: one.mean.iter().zip(mean).map(|(with, mean)| with - mean).collect(),
+                    std_dev: one.covariance.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect(),
+                    covariance: (&one.covariance).into(),
+                };
+                factor.effects = found.iter().enumerate().map(effect).collect();
+            }
             self.groups.extend(found.iter().enumerate().map(|(group, one)| unit(inner, &level.name, group, one)));
         }
     }

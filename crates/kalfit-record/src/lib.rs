@@ -58,10 +58,10 @@ pub use dynamic_ratio::DynamicSides;
 pub use estimates::{EstimatesRecord, FewTestsLawRecord};
 pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
 pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
-pub use group_levels::{LevelRecord, UnitRecord};
+pub use group_levels::{EffectRecord, FactorRecord, LevelRecord, UnitRecord};
 pub use heterogeneity::HeterogeneityRecord;
 pub use levels::{LevelCounts, level_notes};
-pub use misfit::{MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
+pub use misfit::{CROSSED_MISFIT, MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
 pub use number::plain;
 pub use own::OwnRecord;
@@ -157,7 +157,10 @@ pub struct FitRecord {
     /// without levels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelRecord>,
-    /// Results of each group, level by level, the outermost first.
+    /// The variation of each crossed factor, with the effect of each of its levels; empty without such factors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub crossed: Vec<FactorRecord>,
+    /// Results of each group: those of crossed factors, then level by level, the outermost first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<UnitRecord>,
     /// Dynamic parameters, one entry per level, in the order of the model and, within a parameter, of the texts of its

@@ -7,6 +7,10 @@ use serde::{Deserialize, Serialize};
 use crate::figure::figures;
 use crate::{FigureUnit, FitRecord};
 
+/// The note of a fit whose misfit is not looked for because groups cross.
+pub const CROSSED_MISFIT: &str = "misfit that tests have in common was not looked for: with crossed factors no test is \
+                                  independent of the others";
+
 /// Misfit that tests have in common, by standardised innovations under the law of the whole model: processes, noises, Σ
 /// and the levels of groups.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -96,13 +96,15 @@ impl ModelCheckRecord {
 
 impl FitRecord {
     /// (number n of all innovations, sum of their squares, χ²_n when the model is right). Innovations of tests of one
-    /// group share the effect of the group, so that with levels the sum is that under the law of the whole model.
+    /// group share the effect of the group, so that with levels the sum is that under the law of the whole model; it is
+    /// not known where groups cross.
     pub fn overall_innovations(&self) -> (usize, f64) {
         match &self.misfit {
             Some(misfit) if !self.levels.is_empty() => {
                 let count = misfit.innovations;
                 (count, misfit.mean_square.map_or(0.0, |mean| mean * count as f64))
             }
+            None if !self.crossed.is_empty() => (0, 0.0),
             _ => innovations_of(self).fold((0, 0.0), |(count, nis): (usize, f64), (_, figures)| {
                 (count.saturating_add(figures.count), nis + figures.nis.unwrap_or(0.0))
             }),

@@ -4,9 +4,9 @@ use nalgebra::DMatrix;
 
 use crate::cut::{BlockCut, phases_of};
 use crate::{
-    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord,
-    InformationRecord, LevelRecord, MatrixRecord, MeanLawRecord, MeanRecord, ObservabilityRecord, PhaseRecord,
-    RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+    BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FactorRecord, FilterRecord, FitRecord,
+    InformationLostRecord, InformationRecord, LevelRecord, MatrixRecord, MeanLawRecord, MeanRecord,
+    ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
 };
 use kalfit_algebra::elements::Element;
 use kalfit_apply::plan::Quantity;
@@ -23,17 +23,18 @@ const TESTS: &str = "tests";
 /// The only kind of filter there is.
 const KALMAN_SCHMIDT: &str = "kalman-schmidt";
 
-/// Results of each phase, and of each level of groups: the outermost level first, the level of the tests last.
+/// Results of each phase, of each level of groups, the outermost level first and the level of the tests last, and of each
+/// crossed factor.
 pub(super) fn phases_and_levels(
     model: &PhasedModel,
     estimate: &Estimate,
     inference: &Inference,
     reductions: &Reductions,
-) -> (Vec<PhaseRecord>, Vec<LevelRecord>) {
+) -> (Vec<PhaseRecord>, Vec<LevelRecord>, Vec<FactorRecord>) {
     let mut blocks = blocks(model, estimate, inference, reductions);
     let levels = blocks.split_off(model.phases.len());
     if estimate.grouping().is_none() {
-        return (blocks, Vec::new());
+        return (blocks, Vec::new(), Vec::new());
     }
     let count = |block: usize| estimate.state.problem.classes.present[block] as usize;
     let one = |(level, block): (usize, PhaseRecord)| {
@@ -41,9 +42,11 @@ pub(super) fn phases_and_levels(
         let column = Some(model.shared().text_columns[own.column].name.clone());
         LevelRecord::new(own.name.clone(), column, count(level + 1), &block)
     };
-    let mut levels: Vec<LevelRecord> = levels.into_iter().enumerate().map(one).rev().collect();
+    let mut factors: Vec<LevelRecord> = levels.into_iter().enumerate().map(one).rev().collect();
+    let mut levels = factors.split_off(model.factors().len());
     levels.push(LevelRecord::new(TESTS.to_owned(), None, count(0), &blocks[0]));
-    (blocks, levels)
+    let factor = |level: LevelRecord| FactorRecord { level, effects: Vec::new() };
+    (blocks, levels, factors.into_iter().map(factor).collect())
 }
 
 fn blocks(

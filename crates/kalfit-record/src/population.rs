@@ -88,7 +88,7 @@ const ROUNDING: f64 = f64::EPSILON;
 impl FitRecord {
     /// Adds the covariances of all levels of groups.
     fn add_level_covariances(&self, model: &PhasedModel, whole: &mut Population) -> Result<(), RecordError> {
-        let own: Vec<&LevelRecord> = self.levels.iter().filter(|level| level.column.is_some()).collect();
+        let own: Vec<&LevelRecord> = self.all_levels().filter(|level| level.column.is_some()).collect();
         let found: Vec<String> = own.iter().map(|level| level.name.clone()).collect();
         let expected: Vec<String> = model.levels.iter().map(|level| level.name.clone()).collect();
         if found != expected {

@@ -71,7 +71,7 @@ impl FitRecord {
             }
         }
         let first = self.phases.first().map_or((&[][..], "main"), |phase| (&phase.units[..], phase.name.as_str()));
-        for level in &self.levels {
+        for level in self.all_levels() {
             let own = level.column.is_none(); // the spread of the tests is the covariance of the model itself
             let prefix = if own { String::new() } else { format!("{}: ", level.name) };
             let (phase, states) = (first.1, &level.states);

@@ -293,6 +293,16 @@ const FEW_TESTS: usize = 50;
 pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
     let plural = |count: usize| if count == 1 { "" } else { "s" };
     match (estimate.grouping(), model.levels.first()) {
+        (Some(grouping), Some(_)) if grouping.is_crossed() => {
+            let depth = grouping.depth();
+            let fewest = (0..depth).min_by_key(|&level| grouping.groups(level).len()).unwrap_or(0);
+            let count = grouping.groups(fewest).len();
+            let (what, name) = match &model.levels[depth - 1 - fewest] {
+                factor if factor.crossed => ("level", format!("of factor `{}`", factor.name)),
+                level => ("group", format!("of level `{}`", level.name)),
+            };
+            (count, format!("{what}{} {name}", plural(count)))
+        }
         (Some(grouping), Some(outermost)) if grouping.depth() > 0 => {
             let count = grouping.groups(grouping.depth() - 1).len();
             (count, format!("group{} of level `{}`", plural(count), outermost.name))

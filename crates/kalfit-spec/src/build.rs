@@ -7,6 +7,7 @@ use toml::de::DeTable;
 
 use crate::error::{Result, SpecError, SpecProblem};
 use crate::keys;
+use crate::levels::GroupKind;
 use crate::names::NameContext;
 use crate::phase::{ReadPhase, ReadPurpose, SharedTables, phase};
 use crate::phases::PhaseSource;
@@ -58,10 +59,14 @@ pub(crate) fn model(text: &str, mut root: TomlTable<'_>, purpose: ReadPurpose<'_
         source.count("measurements of all phases together", read.iter().map(|one| one.measurements.len()).sum())?;
     }
     let population = (read[0].states.as_slice(), read[0].estimated.as_slice());
-    let levels = match context.reads.levels {
-        true => levels::read(&mut context, data.levels.as_ref(), root.take("levels"), population)?,
-        false => Vec::new(),
-    };
+    let mut levels = Vec::new();
+    if context.reads.levels {
+        // the factors come first
+        let kinds = [(data.crossed.as_ref(), GroupKind::Crossed), (data.levels.as_ref(), GroupKind::Levels)];
+        for of in kinds {
+            levels.extend(levels::read(&mut context, of, root.take(of.1.key()), population)?);
+        }
+    }
     if let ReadPurpose::Designs { outputs: Some(outputs), .. } = purpose {
         outputs::check(outputs, &sources, &read.iter().map(|phase| &phase.named).collect::<Vec<_>>())?;
     }
@@ -77,7 +82,8 @@ pub(crate) fn model(text: &str, mut root: TomlTable<'_>, purpose: ReadPurpose<'_
         data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
         check_filters(&context, &read, &model)?;
     }
-    let places = SpecPlaces::of(&context, read.iter().map(ReadPhase::places).collect(), data.levels.as_ref());
+    let places =
+        SpecPlaces::of(&context, read.iter().map(ReadPhase::places).collect(), data.levels.iter().chain(&data.crossed));
     let outputs = read.into_iter().map(|phase| phase.outputs).collect();
     Ok(BuiltSpec { model, layout: data.layout, places, outputs })
 }

@@ -5,7 +5,7 @@ use kalfit::{Layout, TestKey};
 
 use crate::error::{Result, Span, SpecError, SpecProblem};
 use crate::keys;
-use crate::levels::{self, GroupColumns};
+use crate::levels::{self, GroupColumns, GroupKind};
 use crate::names::NameContext;
 use crate::phases::PhaseSource;
 use crate::suggest::suggest;
@@ -21,6 +21,8 @@ pub(crate) struct DataSpec {
     pub(crate) group: Option<usize>,
     /// The columns of the groups that tests stand in.
     pub(crate) levels: Option<GroupColumns>,
+    /// The columns of crossed factors.
+    pub(crate) crossed: Option<GroupColumns>,
     /// The text column that tells the phase of a row.
     pub(crate) phase: Option<usize>,
     phase_key: Option<Span>,
@@ -46,12 +48,22 @@ pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) 
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;
     }
-    let levels = section.take("levels");
-    context.grouped = levels.is_some(); // a reader that needs no columns of levels still meets the keys that go with them
+    let (levels, crossed) = (section.take("levels"), section.take("crossed"));
+    // a reader that needs no columns of levels still meets the keys that go with them
+    context.grouped = levels.is_some() || crossed.is_some();
+    if crossed.is_some() && data.layout.test == TestKey::Single {
+        data.layout.test = TestKey::Row; // one test cannot meet several levels of a factor
+    }
     if let Some(levels) = levels.filter(|_| context.reads.levels) {
-        let columns = levels::columns(context, &levels, &data.layout.test)?;
+        let columns = levels::columns(context, (&levels, GroupKind::Levels), &data.layout.test)?;
         data.layout.levels = columns.names().map(str::to_owned).collect();
         data.levels = Some(columns);
+    }
+    if let Some(crossed) = crossed.filter(|_| context.reads.levels) {
+        let columns = levels::columns(context, (&crossed, GroupKind::Crossed), &data.layout.test)?;
+        columns.refuse_shared(data.levels.as_ref())?;
+        data.layout.crossed = columns.names().map(str::to_owned).collect();
+        data.crossed = Some(columns);
     }
     if let Some(missing) = section.take("missing") {
         data.layout.missing = missing.texts()?.into_iter().map(|(text, _)| text.to_owned()).collect();
@@ -76,14 +88,17 @@ fn test_key(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<Test
     if text == "@file" {
         return Ok(TestKey::File);
     }
+    if text == "@row" {
+        return Ok(TestKey::Row);
+    }
     if text.starts_with('@') {
         let problem = SpecProblem::UnknownWord {
             what: "test".to_owned(),
             place: PLACE.to_owned(),
             found: text.to_owned(),
-            expected: "`@file` or the name of a column".to_owned(),
+            expected: "`@file`, `@row` or the name of a column".to_owned(),
         };
-        return Err(SpecError::new(problem).at(field.span.clone()).maybe_hint(suggest(text, ["@file"])));
+        return Err(SpecError::new(problem).at(field.span.clone()).maybe_hint(suggest(text, ["@file", "@row"])));
     }
     context.see_column(text, field.span.clone());
     Ok(TestKey::Column(text.to_owned()))
@@ -187,7 +202,7 @@ impl DataSpec {
     /// Refuses a column of phases without phases, several phases without one, a first step that belongs to phases, and what does
     /// not go with groups of tests.
     pub(crate) fn check_phases(&self, phases: &[PhaseSource<'_>]) -> Result<()> {
-        self.levels.as_ref().map_or(Ok(()), |levels| levels.refuse_beside(phases))?;
+        self.levels.iter().chain(&self.crossed).try_for_each(|columns| columns.refuse_beside(phases))?;
         let second = phases.get(1).and_then(|phase| phase.span.clone());
         if let (None, Some(second)) = (self.phase, second) {
             let problem = SpecProblem::MissingKey { key: "phase".to_owned(), place: PLACE.to_owned() };

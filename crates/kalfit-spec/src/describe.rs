@@ -29,7 +29,7 @@ impl Spec {
             lines.extend(motion(&phase.model));
             lines.extend(measured(&phase.model));
             lines.extend(parameters);
-            let within = self.model.levels.last().map(|level| format!(" from test to test of one `{}`", level.name));
+            let within = self.model.nested().last().map(|level| format!(" from test to test of one `{}`", level.name));
             lines.extend(population(&phase.model, &within.unwrap_or_default()));
             lines.extend(self.levels());
             lines.extend(filter(phase));
@@ -37,15 +37,22 @@ impl Spec {
         lines
     }
 
-    /// What varies from group to group, level by level.
+    /// What varies from group to group, level by level, and from level to level of each crossed factor.
     fn levels(&self) -> Vec<String> {
         let words = ModelWords { model: self.model.shared() };
         let mut lines = Vec::new();
-        for (depth, level) in self.model.levels.iter().enumerate() {
+        for (depth, level) in self.model.nested().iter().enumerate() {
             let groups = format!("one group for each value of {}", columns(&self.layout.levels[..=depth]));
             lines.push(format!("level `{}`: {groups}", level.name));
             let facts = words.structure("covariance Σ from group to group", &level.covariance);
             lines.extend(facts.into_iter().map(|fact| format!("level `{}`: {fact}", level.name)));
+        }
+        for factor in self.model.factors() {
+            let name = &factor.name;
+            lines.push(format!("crossed factor `{name}`: one effect for each value of column `{name}`"));
+            let what = format!("covariance Σ from {name} to {name}");
+            let facts = words.structure(&what, &factor.covariance);
+            lines.extend(facts.into_iter().map(|fact| format!("crossed factor `{name}`: {fact}")));
         }
         lines
     }
@@ -61,6 +68,7 @@ impl Spec {
                 format!("tests: one for each value of {}{group}", columns(&names))
             }
             TestKey::File => format!("tests: one for each file{group}"),
+            TestKey::Row => format!("tests: each row is one test{group}"),
         }
     }
 

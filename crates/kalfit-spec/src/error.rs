@@ -113,8 +113,8 @@ pub enum SpecProblem {
     #[error("column `{name}` tells tests apart, so it cannot be a level of groups of them")]
     LevelOfTests { name: String },
     /// Groups of tests beside something that takes tests as independent of each other.
-    #[error("`levels` of `[data]` does not go with `[{beside}]`")]
-    LevelsBeside { beside: &'static str },
+    #[error("`{key}` of `[data]` does not go with `[{beside}]`")]
+    LevelsBeside { key: &'static str, beside: &'static str },
     /// A name that stands for nothing.
     #[error("unknown {what} `{name}` in {place}")]
     UnknownName { what: &'static str, name: String, place: String },

@@ -12,7 +12,7 @@ use crate::build;
 use crate::digest;
 use crate::error::{Span, SpecError, SpecProblem};
 use crate::keys;
-use crate::levels;
+use crate::levels::{self, GroupKind};
 use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, reorder_levels, table_in};
 use crate::names::{phase_key, table_key};
 use crate::phase::ReadPurpose;
@@ -21,7 +21,7 @@ use crate::places::SpecPlaces;
 use crate::spec::Spec;
 use crate::table::{TomlField, TomlTable};
 
-const KEYS: [&str; 6] = ["title", "mean", "covariance", "levels", "parameters", "phases"];
+const KEYS: [&str; 7] = ["title", "mean", "covariance", "levels", "crossed", "parameters", "phases"];
 
 /// A model under a hypothesis.
 #[derive(Debug, Clone)]
@@ -42,7 +42,7 @@ impl Spec {
     /// Start values of the model are dropped where the hypothesis speaks of the same table. What `set` fixed stays fixed.
     /// `[phases.NAME.mean]` and `[phases.NAME.covariance]` replace keys of what that phase has, its own table or that of the
     /// top level; `[mean]` and `[covariance]` act on the phases that leave them out, as in the model. `[levels.NAME.covariance]`
-    /// replaces keys of that level, its matrices in the order of `[covariance]` of the same file.
+    /// and `[crossed.NAME.covariance]` replace keys of that level or factor, its matrices in the order of `[covariance]` of the same file.
     ///
     /// # Errors
     /// Whatever is wrong with the text, and with the two together.
@@ -147,7 +147,9 @@ impl Spec {
             return Err(SpecError::new(problem).at(span).hint("say what to test, in `[mean]` or `[covariance]`"));
         }
         check_tables(&root, "")?;
-        root.peek("levels").map_or(Ok(()), |field| self.check_levels(&field))?;
+        for kind in [GroupKind::Levels, GroupKind::Crossed] {
+            root.peek(kind.key()).map_or(Ok(()), |field| self.check_levels(&field, kind))?;
+        }
         let Some(field) = root.peek("phases") else { return Ok(title) };
         if self.model.phases.iter().all(|phase| self.phase_span(&phase.name).is_none()) {
             return Err(field.no_effect("in a hypothesis about a model without phases"));
@@ -167,18 +169,22 @@ impl Spec {
 }
 
 impl Spec {
-    /// Levels of the model only, each with a covariance.
-    fn check_levels(&self, field: &TomlField<'_>) -> Result<(), SpecError> {
-        if self.model.levels.is_empty() {
-            return Err(field.no_effect("in a hypothesis about a model without levels"));
+    /// Levels or crossed factors of the model only, each with a covariance.
+    fn check_levels(&self, field: &TomlField<'_>, kind: GroupKind) -> Result<(), SpecError> {
+        let (own, without) = match kind {
+            GroupKind::Levels => (self.model.nested(), "in a hypothesis about a model without levels"),
+            GroupKind::Crossed => (self.model.factors(), "in a hypothesis about a model without crossed factors"),
+        };
+        if own.is_empty() {
+            return Err(field.no_effect(without));
         }
-        let place = format!("`[levels]` of {PLACE}");
+        let place = format!("`[{}]` of {PLACE}", kind.key());
         for field in field.section(place.as_str())?.fields() {
-            let known = self.model.levels.iter().map(|level| level.name.as_str());
+            let known = own.iter().map(|level| level.name.as_str());
             if known.clone().all(|name| name != field.key) {
-                return Err(levels::unknown(&field, known, &place));
+                return Err(levels::unknown(&field, kind, known, &place));
             }
-            let key = table_key("levels", field.key);
+            let key = table_key(kind.key(), field.key);
             let section = field.section(format!("`[{key}]` of {PLACE}"))?.with_keys(keys::LEVEL)?;
             let Some(covariance) = section.peek("covariance") else { return Err(section.missing("covariance")) };
             covariance.section("")?;

@@ -77,6 +77,11 @@ pub(crate) const ROOT: &[Key] = &[
     ),
     key("levels", Takes::Tables(LEVEL), "The covariance from group to group, by the column of `levels` in `[data]`."),
     key(
+        "crossed",
+        Takes::Tables(LEVEL),
+        "The covariance of the effects of a crossed factor, by the column of `crossed` in `[data]`.",
+    ),
+    key(
         "phases",
         Takes::Tables(PHASE),
         "Phases of a test, in their order; each takes what it has not from the top level.",
@@ -86,8 +91,13 @@ pub(crate) const ROOT: &[Key] = &[
 
 /// Of `[data]`.
 pub(crate) const DATA: &[Key] = &[
-    key("test", Takes::Text, "Column that names the test of a row, or `@file`: each file is one test."),
+    key(
+        "test",
+        Takes::Text,
+        "Column that names the test of a row, or `@file`: each file is one test, or `@row`: each row is one.",
+    ),
     key("levels", Takes::Texts, "Columns of groups of tests, the outermost first."),
+    key("crossed", Takes::Texts, "Columns of factors that cross: stations, days or operators that any test can meet."),
     key("time", Takes::Text, "Column of times."),
     key("time_unit", Takes::Text, "Unit of time: a label, or with dates one of s, ms, us, ns, min, h, d."),
     key("initial_time", Takes::NumberOrColumn, "Time of the initial state, or a column with it."),

@@ -1,4 +1,5 @@
-//! `levels` of `[data]`, the groups that tests stand in, and `[levels]`, what varies from group to group.
+//! `levels` and `crossed` of `[data]`, the groups that tests stand in, and `[levels]` and `[crossed]`, what varies from
+//! group to group.
 
 use std::collections::BTreeMap;
 
@@ -17,9 +18,37 @@ use crate::table::{TomlField, TomlTable};
 /// Levels of one model; each has a covariance of all estimated states.
 const MAX_LEVELS: usize = 10;
 
-/// The columns of groups, the outermost first.
+/// How groups stand to each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum GroupKind {
+    /// Groups within groups.
+    Levels,
+    /// Factors whose groups cross all others.
+    Crossed,
+}
+
+impl GroupKind {
+    /// The key in `[data]`, and of the table with the covariances.
+    pub(crate) fn key(self) -> &'static str {
+        match self {
+            GroupKind::Levels => "levels",
+            GroupKind::Crossed => "crossed",
+        }
+    }
+
+    /// What one of its columns is called.
+    fn what(self) -> &'static str {
+        match self {
+            GroupKind::Levels => "level",
+            GroupKind::Crossed => "crossed factor",
+        }
+    }
+}
+
+/// The columns of groups, the outermost first, or of crossed factors.
 #[derive(Debug)]
 pub(crate) struct GroupColumns {
+    kind: GroupKind,
     all: Vec<GroupColumn>,
     /// The key in `[data]`.
     key: Span,
@@ -33,8 +62,12 @@ struct GroupColumn {
     span: Span,
 }
 
-/// Reads `levels` of `[data]`.
-pub(crate) fn columns(context: &mut NameContext<'_>, field: &TomlField<'_>, test: &TestKey) -> Result<GroupColumns> {
+/// Reads `levels` or `crossed` of `[data]`.
+pub(crate) fn columns(
+    context: &mut NameContext<'_>,
+    (field, kind): (&TomlField<'_>, GroupKind),
+    test: &TestKey,
+) -> Result<GroupColumns> {
     if *test == TestKey::Single {
         let hint = "all rows are one test then: `test` names the column that tells tests apart";
         return Err(field.no_effect("without `test`").hint(hint));
@@ -42,9 +75,13 @@ pub(crate) fn columns(context: &mut NameContext<'_>, field: &TomlField<'_>, test
     let (place, names) = (field.what(), field.texts()?);
     let found = names.len();
     if found == 0 || found > MAX_LEVELS {
-        let problem = SpecProblem::Count { what: "levels of groups", found, expected: format!("1 to {MAX_LEVELS}") };
+        let (what, example) = match kind {
+            GroupKind::Levels => ("levels of groups", "levels = [\"unit\"]"),
+            GroupKind::Crossed => ("crossed factors", "crossed = [\"station\"]"),
+        };
+        let problem = SpecProblem::Count { what, found, expected: format!("1 to {MAX_LEVELS}") };
         let error = SpecError::new(problem).at(field.span.clone());
-        return Err(error.hint("without groups leave `levels` out; with them, as in `levels = [\"unit\"]`"));
+        return Err(error.hint(format!("without groups leave `{}` out; with them, as in `{example}`", kind.key())));
     }
     let mut all: Vec<GroupColumn> = Vec::with_capacity(found);
     for (name, span) in names {
@@ -57,7 +94,7 @@ pub(crate) fn columns(context: &mut NameContext<'_>, field: &TomlField<'_>, test
         let index = context.text_column(name, span.clone(), &place);
         all.push(GroupColumn { name: name.to_owned(), index, span });
     }
-    Ok(GroupColumns { all, key: field.key_span.clone() })
+    Ok(GroupColumns { kind, all, key: field.key_span.clone() })
 }
 
 /// Refuses what no column of groups can be.
@@ -88,6 +125,20 @@ impl GroupColumns {
         self.all.iter().map(|one| (one.name.clone(), one.span.clone())).collect()
     }
 
+    /// Refuses a column that is a level too.
+    pub(crate) fn refuse_shared(&self, levels: Option<&GroupColumns>) -> Result<()> {
+        let shared =
+            |one: &&GroupColumn| levels.is_some_and(|levels| levels.names().any(|name| name.trim() == one.name.trim()));
+        match self.all.iter().find(shared) {
+            None => Ok(()),
+            Some(one) => {
+                let (name, place) = (one.name.clone(), "`levels` and `crossed` of `[data]`".to_owned());
+                let hint = "a column nests (`levels`) or crosses (`crossed`): take it out of one of them";
+                Err(SpecError::new(StructureProblem::ListedTwice { name, place }).at(one.span.clone()).hint(hint))
+            }
+        }
+    }
+
     /// Refuses phases and filters.
     pub(crate) fn refuse_beside(&self, phases: &[PhaseSource<'_>]) -> Result<()> {
         let beside = match &phases[0] {
@@ -95,61 +146,71 @@ impl GroupColumns {
             phase if phase.table("filter").is_some() => "filter",
             _ => return Ok(()),
         };
-        let hint = format!("take `levels` or `[{beside}]` out: tests in groups have one phase and the optimal filter");
-        Err(SpecError::new(SpecProblem::LevelsBeside { beside }).at(self.key.clone()).hint(hint))
+        let key = self.kind.key();
+        let hint = format!("take `{key}` or `[{beside}]` out: tests in groups have one phase and the optimal filter");
+        Err(SpecError::new(SpecProblem::LevelsBeside { key, beside }).at(self.key.clone()).hint(hint))
     }
 }
 
-/// Reads `[levels]`: a level without a table has a full covariance. `estimated`: the states in the order of Σ.
+/// Reads `[levels]` or `[crossed]`: what has no table has a full covariance. `estimated`: the states in the order of Σ.
 pub(crate) fn read(
     context: &mut NameContext<'_>,
-    columns: Option<&GroupColumns>,
+    (columns, kind): (Option<&GroupColumns>, GroupKind),
     field: Option<TomlField<'_>>,
     (states, estimated): (&[State], &[usize]),
 ) -> Result<Vec<GroupLevel>> {
-    let Some(columns) = columns else { return field.map_or(Ok(Vec::new()), |field| Err(without_columns(&field))) };
-    let mut section = field.map(|field| field.section("`[levels]`")).transpose()?;
+    let Some(columns) = columns else {
+        return field.map_or(Ok(Vec::new()), |field| Err(without_columns(&field, kind)));
+    };
+    let place = format!("`[{}]`", kind.key());
+    let mut section = field.map(|field| field.section(place.as_str())).transpose()?;
     if let Some(field) =
         section.iter().flat_map(TomlTable::fields).find(|field| !columns.names().any(|n| n == field.key))
     {
-        return Err(unknown(&field, columns.names(), "`[levels]`"));
+        return Err(unknown(&field, kind, columns.names(), &place));
     }
     let elements = NamedElements::new(states, estimated);
     let mut levels = Vec::with_capacity(columns.all.len());
     for GroupColumn { name, index, .. } in &columns.all {
         let table = section.as_mut().and_then(|section| section.take(name));
-        let covariance = level(context, name, table, &elements)?;
-        levels.push(GroupLevel { name: name.clone(), column: *index, covariance });
+        let covariance = level(context, (name, kind), table, &elements)?;
+        levels.push(GroupLevel { name: name.clone(), column: *index, crossed: kind == GroupKind::Crossed, covariance });
     }
     Ok(levels)
 }
 
-fn without_columns(field: &TomlField<'_>) -> SpecError {
-    let (key, why) = ("[levels]".to_owned(), "without `levels` in `[data]`".to_owned());
+fn without_columns(field: &TomlField<'_>, kind: GroupKind) -> SpecError {
+    let name = kind.key();
+    let (key, why) = (format!("[{name}]"), format!("without `{name}` in `[data]`"));
+    let example = match kind {
+        GroupKind::Levels => "names the columns of groups, as in `levels = [\"unit\"]`",
+        GroupKind::Crossed => "names the columns of factors that cross, as in `crossed = [\"station\"]`",
+    };
     SpecError::new(SpecProblem::NoEffect { key, why })
         .at(field.key_span.clone())
-        .hint("`levels` there names the columns of groups, as in `levels = [\"unit\"]`")
+        .hint(format!("`{name}` there {example}"))
 }
 
-/// The error of a table for what is no level.
+/// The error of a table for what is no level, or no crossed factor.
 pub(crate) fn unknown<'n>(
     field: &TomlField<'_>,
+    kind: GroupKind,
     known: impl Iterator<Item = &'n str> + Clone,
     place: &str,
 ) -> SpecError {
-    let problem = SpecProblem::UnknownName { what: "level", name: field.key.to_owned(), place: place.to_owned() };
-    let listed = || format!("`levels` of `[data]` names {}", either(&known.clone().collect::<Vec<_>>()));
+    let problem = SpecProblem::UnknownName { what: kind.what(), name: field.key.to_owned(), place: place.to_owned() };
+    let listed = || format!("`{}` of `[data]` names {}", kind.key(), either(&known.clone().collect::<Vec<_>>()));
     let hint = suggest(field.key, known.clone()).unwrap_or_else(listed);
     SpecError::new(problem).at(field.key_span.clone()).hint(hint)
 }
 
 fn level(
     context: &mut NameContext<'_>,
-    name: &str,
+    (name, kind): (&str, GroupKind),
     field: Option<TomlField<'_>>,
     elements: &NamedElements,
 ) -> Result<CovarianceStructure> {
-    let key = table_key("levels", name);
+    let key = table_key(kind.key(), name);
     let mut table = field.map(|field| field.section(format!("`[{key}]`"))?.with_keys(keys::LEVEL)).transpose()?;
     let own = table.as_mut().and_then(|table| table.take("covariance"));
     let own = own.map(|field| covariance::open_level(&field, format!("`[{key}.covariance]`"))).transpose()?;

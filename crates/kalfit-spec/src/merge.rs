@@ -4,6 +4,7 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use crate::error::{SpecError, SpecProblem};
+use crate::levels::GroupKind;
 use crate::suggest::suggest;
 
 /// The hypothesis in messages.
@@ -29,7 +30,7 @@ pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), 
             ("title", _) => {}
             ("parameters", DeValue::Table(_)) => parameters(base, key, value)?,
             ("phases", DeValue::Table(_)) => phases = into_table(value),
-            ("levels", DeValue::Table(_)) => levels(base, key, value),
+            ("levels" | "crossed", DeValue::Table(_)) => levels(base, key, value),
             _ => replace(base, key, value),
         }
     }
@@ -73,14 +74,16 @@ pub(crate) fn reorder(covariance: &mut DeTable<'_>, states: &[String]) {
     remove(covariance, |key| key == "order");
 }
 
-/// The same of its `[levels.NAME.covariance]`, whose order is that of its `[covariance]`.
+/// The same of its `[levels.NAME.covariance]` and `[crossed.NAME.covariance]`, whose order is that of its `[covariance]`.
 pub(crate) fn reorder_levels(own: &mut DeTable<'_>, states: &[String]) {
     let Some(places) = table_in(own, "covariance").and_then(|covariance| places(covariance, states)) else { return };
-    let Some(levels) = table_in(own, "levels") else { return };
-    for (_, level) in levels.iter_mut() {
-        let DeValue::Table(level) = level.get_mut() else { continue };
-        if let Some(covariance) = table_in(level, "covariance") {
-            permute_matrices(covariance, &places);
+    for kind in [GroupKind::Levels, GroupKind::Crossed] {
+        let Some(levels) = table_in(own, kind.key()) else { continue };
+        for (_, level) in levels.iter_mut() {
+            let DeValue::Table(level) = level.get_mut() else { continue };
+            if let Some(covariance) = table_in(level, "covariance") {
+                permute_matrices(covariance, &places);
+            }
         }
     }
 }
@@ -154,9 +157,9 @@ fn into_table(value: TomlItem<'_>) -> DeTable<'_> {
     }
 }
 
-/// Keys of the covariance of a level replace those of the level.
+/// Keys of the covariance of a level or factor replace those of the level or factor.
 fn levels<'i>(base: &mut DeTable<'i>, key: TomlKey<'i>, value: TomlItem<'i>) {
-    let Some(levels) = table_in(base, "levels") else {
+    let Some(levels) = table_in(base, key.get_ref()) else {
         base.insert(key, value);
         return;
     };

@@ -28,11 +28,15 @@ pub(crate) struct PhasePlaces {
 }
 
 impl SpecPlaces {
-    pub(crate) fn of(context: &NameContext<'_>, phases: Vec<PhasePlaces>, levels: Option<&GroupColumns>) -> SpecPlaces {
+    pub(crate) fn of<'g>(
+        context: &NameContext<'_>,
+        phases: Vec<PhasePlaces>,
+        levels: impl Iterator<Item = &'g GroupColumns>,
+    ) -> SpecPlaces {
         SpecPlaces {
             columns: context.column_spans.clone(),
             parameters: context.parameters.spans(),
-            levels: levels.map_or_else(BTreeMap::new, GroupColumns::spans),
+            levels: levels.flat_map(GroupColumns::spans).collect(),
             phases,
             roles: context.roles.iter().map(|role| role.unwrap_or(ParameterRole::Coefficient)).collect(),
         }

@@ -166,6 +166,7 @@ fn a_known_group_is_told_from_a_new_one() {
     grouped.levels = vec![kalfit_model::GroupLevel {
         name: "unit".to_owned(),
         column: 0,
+        crossed: false,
         covariance: model.phases[0].model.covariance.clone(),
     }];
     let initial = Initial::of_group(&grouped, &whole, (vec![0.9, -0.5], &left), None);

@@ -28,8 +28,10 @@ pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColu
     let mut columns = groups(model, layout);
     if let Some(name) = id_column(model, layout, many) {
         let before = match layout.test {
-            TestKey::Column(_) => columns.iter().filter_map(|column| column.from.text()).collect(),
-            TestKey::Single | TestKey::File => Vec::new(),
+            TestKey::Column(_) => {
+                columns[..layout.levels.len()].iter().filter_map(|column| column.from.text()).collect()
+            }
+            TestKey::Single | TestKey::File | TestKey::Row => Vec::new(),
         };
         columns.push(OutColumn { name, from: OutCellSource::Id(before) });
     }
@@ -50,13 +52,13 @@ pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColu
     columns
 }
 
-/// The columns of groups, the outermost first.
+/// The columns of groups, the outermost first, then those of crossed factors.
 fn groups(model: &Model, layout: &Layout) -> Vec<OutColumn> {
     let column = |name: &String| {
         let index = model.text_columns.iter().position(|column| column.name == *name)?;
         Some(OutColumn { name: name.clone(), from: OutCellSource::Text(index) })
     };
-    layout.levels.iter().filter_map(column).collect()
+    layout.levels.iter().chain(&layout.crossed).filter_map(column).collect()
 }
 
 impl OutCellSource {
@@ -75,6 +77,7 @@ pub(super) fn id_column(model: &Model, layout: &Layout, many: bool) -> Option<St
     match &layout.test {
         TestKey::Column(name) => Some(name.clone()),
         TestKey::Single if !many => None,
+        TestKey::Row => None,
         TestKey::Single | TestKey::File => {
             let taken = |name: &str| model.columns.iter().chain(&model.text_columns).any(|column| column.name == name);
             let mut names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));

@@ -62,7 +62,13 @@ fn refused_args(args: &[&str]) -> String {
     let error = match inputs {
         Err(error) => error,
         Ok(inputs) => {
-            let layout = Layout { test: TestKey::File, levels: Vec::new(), missing: Vec::new(), comment: None };
+            let layout = Layout {
+                test: TestKey::File,
+                levels: Vec::new(),
+                crossed: Vec::new(),
+                missing: Vec::new(),
+                comment: None,
+            };
             collect(&model(&["y"], &[], None), &layout, &inputs, &mut std::io::empty()).expect_err("a bad argument")
         }
     };
@@ -94,7 +100,8 @@ fn arguments() {
     hint: give each file once: its rows would count twice
     ");
     let twice = [Input::Path("a.csv".into()), Input::Path("a.csv".into())];
-    let layout = Layout { test: TestKey::File, levels: Vec::new(), missing: Vec::new(), comment: None };
+    let layout =
+        Layout { test: TestKey::File, levels: Vec::new(), crossed: Vec::new(), missing: Vec::new(), comment: None };
     let error = collect(&model(&["y"], &[], None), &layout, &twice, &mut std::io::empty()).unwrap_err();
     assert_snapshot!(said(&error), @r#"
     `a.csv` and `a.csv` would both be test `a.csv`

@@ -495,6 +495,7 @@ fn with_levels(names: &[&str]) -> PhasedModel {
     let level = |(column, name): (usize, &&str)| GroupLevel {
         name: (*name).into(),
         column,
+        crossed: false,
         covariance: CovarianceStructure::full(),
     };
     model.levels.extend(names.iter().enumerate().map(level));

@@ -247,7 +247,13 @@ fn each_file_can_be_a_test() {
     }
     let pattern = folder.path().join("*").join("*.csv").display().to_string();
     let inputs = Input::expand(&[pattern, "-".into()]).unwrap();
-    let layout = Layout { test: kalfit::TestKey::File, levels: Vec::new(), missing: Vec::new(), comment: None };
+    let layout = Layout {
+        test: kalfit::TestKey::File,
+        levels: Vec::new(),
+        crossed: Vec::new(),
+        missing: Vec::new(),
+        comment: None,
+    };
     let (sink, reading) = collect(&model(&["y"], &[], None), &layout, &inputs, &mut &b"y\n3\n"[..]).unwrap();
     let ids: Vec<String> = sink.tests.iter().map(|t| t.id.replace(&folder.path().display().to_string(), "")).collect();
     assert_eq!(ids, ["/day1/a.csv", "/day2/a.csv", "b", "stdin"]);
@@ -267,6 +273,7 @@ fn missing_tokens_hold_in_numbers_texts_and_every_format() {
     let layout = Layout {
         test: kalfit::TestKey::Single,
         levels: Vec::new(),
+        crossed: Vec::new(),
         missing: vec![".".into(), "-99".into()],
         comment: None,
     };

@@ -92,7 +92,8 @@ fn a_table_of_one_column_keeps_its_missing_cells() {
     let model = model(&["z"], &[], None);
     let mut test = Test::new("all", 1, 0);
     [1.5, f64::NAN, 2.5, f64::NAN].iter().for_each(|z| test.push(&[*z], &[], Source::default()));
-    let layout = Layout { test: TestKey::Single, levels: Vec::new(), missing: Vec::new(), comment: None };
+    let layout =
+        Layout { test: TestKey::Single, levels: Vec::new(), crossed: Vec::new(), missing: Vec::new(), comment: None };
     for format in FORMATS {
         let (found, labels) = back(&model, &layout, std::slice::from_ref(&test), &Labels::default(), format);
         assert_eq!(spelt(&found, &labels), spelt(std::slice::from_ref(&test), &labels), "{}", format.1);
@@ -133,7 +134,8 @@ fn a_column_with_several_uses_is_written_once() {
 
 #[test]
 fn a_column_of_ids_is_added_where_the_layout_has_none() {
-    let layout = |test: TestKey| Layout { test, levels: Vec::new(), missing: Vec::new(), comment: None };
+    let layout =
+        |test: TestKey| Layout { test, levels: Vec::new(), crossed: Vec::new(), missing: Vec::new(), comment: None };
     let plain = model(&["z"], &[], None);
     let taken = model(&["z", "test"], &["test_2"], None);
     let name =

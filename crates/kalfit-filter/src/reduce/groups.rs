@@ -46,10 +46,11 @@ pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grou
         _ => Err(GroupingError::NoRows { test: test.id.to_string() }),
     };
     let paths = tests.iter().map(|test| Ok((test.id.as_str(), path(test)?)));
-    Ok(Some(Grouping::from_paths(model.levels.len(), paths.collect::<Result<Vec<_>, _>>()?)))
+    let counts = (model.factors().len(), model.nested().len());
+    Ok(Some(Grouping::crossed(counts, paths.collect::<Result<Vec<_>, _>>()?)))
 }
 
-/// Names of the groups of a test, outermost first; empty for a model without levels.
+/// Names of the groups of a test, in the order of the levels of the model; empty for a model without levels.
 ///
 /// # Errors
 /// The same errors as [`grouping`].

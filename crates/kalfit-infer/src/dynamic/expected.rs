@@ -15,7 +15,7 @@ use crate::dynamic::stepwise::{
 use kalfit_filter::reduce::ReduceError;
 use kalfit_filter::score::InitialLaw;
 use kalfit_model::Alpha;
-use kalfit_model::Evidence;
+use kalfit_model::{Evidence, Grouping};
 use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
 use kalfit_search::{DynamicError, DynamicFit};
@@ -45,11 +45,13 @@ pub(super) fn expected(
     Ok(if progress.stops() { None } else { fit.joint.covariances_of(&sum) })
 }
 
-/// Whether the expected information is available: all tests are given by rows, and all phases have the optimal filter.
+/// Whether the expected information is available: all tests are given by rows, all phases have the optimal filter, and
+/// tests are independent but for nested groups, which one filter can carry.
 pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     let is_rows = |evidence: &Evidence| matches!(evidence, Evidence::Rows(_));
     let all_rows = objective.tests.iter().all(|test| test.phases.iter().all(is_rows));
-    all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
+    let crossed = objective.grouping().is_some_and(Grouping::is_crossed);
+    all_rows && !crossed && objective.model.phases.iter().all(|phase| phase.filter.is_none())
 }
 
 /// The points after a step up and down of one coordinate, with the distance between the two.

@@ -77,6 +77,8 @@ pub enum NoDf {
     Remote,
     /// Some tests measure a combination of states exactly.
     Exact,
+    /// Groups of tests cross.
+    Crossed,
     /// A standard deviation whose correlations are given is zero.
     ZeroDeviation,
     /// Free parameters move more than variances of noise, and their information is not positive definite.
@@ -168,6 +170,9 @@ impl SmallSample {
     ) -> Option<Result<SmallSample, NoDf>> {
         if estimate.criterion == Criterion::Ml || choice == DfChoice::None || estimate.declared_mean() == 0 {
             return None;
+        }
+        if estimate.grouping().is_some_and(|grouping| grouping.is_crossed()) {
+            return Some(Err(NoDf::Crossed));
         }
         let outermost = estimate.grouping().map(|grouping| grouping.groups(grouping.depth() - 1).len());
         if outermost.unwrap_or(reductions.len()) > MANY_UNITS {

@@ -17,7 +17,7 @@ use crate::refused::by_apply;
 use crate::table::OutputTable;
 use crate::truth::Truth;
 use crate::work::{JobWatch, JobWork};
-use crate::{tests, truth};
+use crate::{model, tests, truth};
 
 /// Applies a fitted model to tests.
 ///
@@ -25,6 +25,7 @@ use crate::{tests, truth};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn apply(job: &ApplyJob, watch: &mut dyn JobWatch) -> Result<JobDone<AppliedModel>, Failure> {
     let (mut spec, truth) = truth::load(&job.model, &job.from)?;
+    model::refuse_crossed(&spec, "a fitted model is not applied")?;
     let given = CommandInputs::open(&mut spec, &job.data)?;
     let used = files(&[&job.model.document, &job.from], &given.inputs);
     let [out, along] = [&job.tests, &job.states].map(|to| OutputTable::prepare(to, &used));

@@ -13,7 +13,7 @@ use kalfit::record::PlanRecord;
 use crate::failure::Failure;
 use crate::job::{JobDone, PlanJob, PlanRequest};
 use crate::work::JobWatch;
-use crate::{memory, truth};
+use crate::{memory, model, truth};
 
 impl From<error::BestPlanError> for Failure {
     fn from(error: error::BestPlanError) -> Failure {
@@ -28,6 +28,7 @@ impl From<error::BestPlanError> for Failure {
 pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecord>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     memory::suffices(&spec)?;
+    model::refuse_crossed(&spec, "plans are not made")?;
     match &job.request {
         PlanRequest::Design(plan) => design::expected(job, plan, (spec, truth), watch),
         PlanRequest::Best(best) => choose::choose(job, best, (spec, truth), watch),

@@ -9,6 +9,7 @@ use kalfit_spec::Spec;
 
 use crate::failure::{Failure, UnknownUnit};
 use crate::job::{PredictJob, PredictedUnits};
+use crate::model;
 use crate::truth::Truth;
 
 /// The laws of initial states.
@@ -29,7 +30,8 @@ impl UnitLaws {
         if job.units == PredictedUnits::New {
             return Ok(UnitLaws::New(Initial::new(&spec.model, &truth.population)));
         }
-        let level = spec.model.levels.last().ok_or(Failure::NoUnits { why: "the model has no levels of groups" })?;
+        model::refuse_crossed(spec, "known units are not predicted")?;
+        let level = spec.model.nested().last().ok_or(Failure::NoUnits { why: "the model has no levels of groups" })?;
         let record = truth.record.as_ref().ok_or(Failure::NoUnits { why: "a model file knows no units" })?;
         let units = record.unit_laws(&spec.model, &truth.population);
         Ok(UnitLaws::Known { units, level: level.name.clone(), path: job.from.name() })

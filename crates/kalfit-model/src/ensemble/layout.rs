@@ -8,6 +8,8 @@ pub struct Layout {
     /// Columns with the groups of tests, the outermost first. With a [`TestKey::Column`], rows are of one test if the
     /// texts in these columns and in the key column are equal, and the id of the test joins all these texts with `/`.
     pub levels: Vec<String>,
+    /// Columns of crossed factors, each constant within a test; they are no part of the id of a test.
+    pub crossed: Vec<String>,
     /// Texts that mark a missing cell, in addition to the usual texts.
     pub missing: Vec<String>,
     /// Text that begins each comment line of a CSV file; `None` where there are no comments.
@@ -24,4 +26,6 @@ pub enum TestKey {
     Column(String),
     /// Each file is a test (`@file`).
     File,
+    /// Each row is a test (`@row`); the id is the number of the row among the rows of all files.
+    Row,
 }

@@ -17,19 +17,23 @@ pub struct PhasedModel {
     pub phases: Vec<Phase>,
     /// Index of the text column that names the phase of a row; `None` where all rows are of the only phase.
     pub column: Option<usize>,
-    /// Levels of groups of tests, the outermost first (theory §11); empty where tests are independent of each other.
+    /// What tests have in common; empty where tests are independent of each other. The crossed factors (theory §16) stand
+    /// first, then the nested levels of groups, the outermost first (theory §11).
     pub levels: Vec<GroupLevel>,
 }
 
-/// A level of groups of tests: ξ of a test is the sum of μ, of a deviation of each group that contains the test, and of
-/// a deviation of the test. The covariance of the model is the covariance of the deviations of tests.
+/// A level of groups of tests, or a factor whose groups cross those of the levels: ξ of a test is the sum of μ, of a
+/// deviation of each group that contains the test, and of a deviation of the test. The covariance of the model is the
+/// covariance of the deviations of tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupLevel {
     /// Name of the level, equal to the name of the column.
     pub name: String,
-    /// Index of the text column with the name of the group, constant within a test. A group is identified by this name
-    /// and the names of all groups that contain the group.
+    /// Index of the text column with the name of the group, constant within a test. A group of a nested level is
+    /// identified by this name and the names of all groups that contain the group, a group of a factor by this name alone.
     pub column: usize,
+    /// Whether this is a crossed factor: its groups contain tests of any group of the other levels.
+    pub crossed: bool,
     /// Covariance of the deviations of groups, p × p, without a `known` part.
     pub covariance: CovarianceStructure,
 }
@@ -123,6 +127,16 @@ impl PhasedModel {
         let of =
             |level: &GroupLevel| state_names.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
         state_names.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
+    }
+
+    /// The crossed factors.
+    pub fn factors(&self) -> &[GroupLevel] {
+        &self.levels[..self.levels.iter().take_while(|level| level.crossed).count()]
+    }
+
+    /// The nested levels of groups, the outermost first.
+    pub fn nested(&self) -> &[GroupLevel] {
+        &self.levels[self.factors().len()..]
     }
 
     /// Whether there is only one phase.

@@ -1,7 +1,7 @@
 //! Tests in groups: the spread by level, and a forest of the groups with their tests.
 
 use kalfit::FitRecord;
-use kalfit::record::{LevelRecord, SquareRecord, TestRecord, UnitRecord};
+use kalfit::record::{FactorRecord, LevelRecord, SquareRecord, TestRecord, UnitRecord};
 use maud::{Markup, PreEscaped, html};
 
 use crate::html::chart::PageCharts;
@@ -25,8 +25,11 @@ pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<Pag
     }
     let table = levels::section(record, &PageLayout::html());
     let covariances = places::outer(record).into_iter().filter_map(|(level, place)| covariance(level, &place));
-    let forests: Vec<Markup> =
-        (0..record.levels[0].states.len().min(MOST_STATES)).filter_map(|i| units(record, i, charts)).collect();
+    let states = 0..record.levels[0].states.len().min(MOST_STATES);
+    let mut forests: Vec<Markup> = states.clone().filter_map(|i| units(record, i, charts)).collect();
+    for factor in &record.crossed {
+        forests.extend(states.clone().filter_map(|i| effects(record, factor, i, charts)));
+    }
     PageSection::new(
         "levels",
         "Levels",
@@ -51,13 +54,15 @@ fn units(record: &FitRecord, i: usize, charts: &mut PageCharts) -> Option<Markup
     let unit = record.phases.first().and_then(|phase| phase.units.get(i).cloned().flatten());
     let label = unit.map_or_else(|| state.clone(), |unit| format!("{state} [{}]", clean(&unit)));
     let mut rows = Vec::new();
-    let mut groups: Vec<&UnitRecord> = record.groups.iter().collect();
+    let innermost = &record.levels.len().checked_sub(2).map(|at| &record.levels[at])?.name;
+    let is_nested = |group: &&UnitRecord| record.crossed.iter().all(|factor| factor.level.name != group.level);
+    let mut groups: Vec<&UnitRecord> = record.groups.iter().filter(is_nested).collect();
     groups.sort_by(|a, b| a.id.cmp(&b.id)); // a group stands before what stands in it
     for group in groups {
         let indent = "– ".repeat(group.id.len() - 1);
         rows.extend(row(format!("{indent}{}", clean(group.id.last()?)), (&group.mean, &group.covariance), i));
-        let innermost = group.id.len() + 1 == record.levels.len();
-        let own = record.tests.iter().filter(|test| innermost && test.groups == group.id);
+        let has_tests = group.level == *innermost;
+        let own = record.tests.iter().filter(|test| has_tests && test.groups == group.id);
         rows.extend(own.filter_map(|test| test_row(test, &format!("{indent}– "), i)));
     }
     let unit = places::innermost(record)?;
@@ -66,6 +71,21 @@ fn units(record: &FitRecord, i: usize, charts: &mut PageCharts) -> Option<Markup
          The spread of the groups is the variation between groups, that of the tests of one {unit} the variation within it."
     );
     forest::forest(&format!("{state}: groups and their tests"), &caption, vec![ForestGroup { label, rows }], charts)
+}
+
+/// The effect of each level of a crossed factor on a state.
+fn effects(record: &FitRecord, factor: &FactorRecord, i: usize, charts: &mut PageCharts) -> Option<Markup> {
+    if levels::is_held_at_zero(&factor.level, i) || factor.effects.is_empty() {
+        return None;
+    }
+    let (name, state) = (clean(&factor.level.name), clean(factor.level.states.get(i)?));
+    let unit = record.phases.first().and_then(|phase| phase.units.get(i).cloned().flatten());
+    let label = unit.map_or_else(|| state.clone(), |unit| format!("{state} [{}]", clean(&unit)));
+    let mut all: Vec<_> = factor.effects.iter().collect();
+    all.sort_by(|a, b| a.id.cmp(&b.id));
+    let rows = all.into_iter().filter_map(|one| row(clean(&one.id), (&one.mean, &one.covariance), i)).collect();
+    let caption = format!("The effect of each {name} on {state}: posterior mean with 95 % interval, given all data.");
+    forest::forest(&format!("{state}: effect of each {name}"), &caption, vec![ForestGroup { label, rows }], charts)
 }
 
 fn test_row(test: TestRecord<'_>, indent: &str, i: usize) -> Option<ForestRow> {

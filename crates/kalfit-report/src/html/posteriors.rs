@@ -41,7 +41,7 @@ fn chosen<'a>(record: &'a FitRecord, phase: &PhaseRecord) -> (Vec<TestRecord<'a>
 /// Σ of a test that nothing is known of: where there are levels, the sum over all of them.
 fn population(record: &FitRecord, phase: &PhaseRecord) -> Vec<Vec<f64>> {
     let mut sum = phase.covariance.estimate.clone();
-    for level in record.levels.iter().filter(|level| level.column.is_some()) {
+    for level in record.all_levels().filter(|level| level.column.is_some()) {
         for (row, own) in sum.iter_mut().zip(&level.covariance.estimate) {
             row.iter_mut().zip(own).for_each(|(sum, own)| *sum += own);
         }

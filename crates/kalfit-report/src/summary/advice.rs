@@ -76,7 +76,7 @@ fn not_converged(record: &FitRecord) -> Vec<String> {
 fn has_free_covariance(record: &FitRecord) -> bool {
     let free = |fixed: &[Vec<bool>]| fixed.iter().enumerate().any(|(i, row)| row[..i].iter().any(|fixed| !fixed));
     record.phases.iter().any(|phase| free(&phase.covariance.fixed))
-        || record.levels.iter().any(|level| free(&level.covariance.fixed))
+        || record.all_levels().any(|level| free(&level.covariance.fixed))
 }
 
 const NO_MAXIMUM: &str = "Do not use these figures. Give the noise levels named above a floor (`lower` in `[parameters]`), such as \

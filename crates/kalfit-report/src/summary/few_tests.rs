@@ -29,7 +29,7 @@ pub(crate) fn items(record: &FitRecord, phase: &PhaseRecord) -> Vec<String> {
         _ => return unrestricted(record, phase).into_iter().collect(),
     };
     let mut items = vec![format!("Intervals of means: Student's t, {method}")];
-    let levels = record.levels.iter().map(|level| &level.boundary);
+    let levels = record.all_levels().map(|level| &level.boundary);
     let singular = levels.chain([&phase.boundary]).flatten().find(|own| own.rank < own.of);
     items.extend(singular.map(|own| {
         let (rank, of) = (own.rank, own.of);
@@ -44,7 +44,9 @@ pub(crate) fn items(record: &FitRecord, phase: &PhaseRecord) -> Vec<String> {
 fn unrestricted(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
     let is_free = |(error, fixed): (&Option<f64>, &bool)| error.is_some() && !fixed;
     let free = phase.mean.std_error.iter().zip(&phase.mean.fixed).any(is_free);
+    let fewest = record.crossed.iter().map(|factor| &factor.level).min_by_key(|factor| factor.groups);
     let (count, what) = match record.levels.first().filter(|_| record.levels.len() > 1) {
+        _ if let Some(factor) = fewest => (factor.groups, format!("levels of {}", factor.name)),
         Some(outermost) => (outermost.groups, format!("groups of {}", outermost.name)),
         None => (record.data.tests, "tests".to_owned()),
     };

@@ -100,13 +100,13 @@ pub(crate) fn verdict(record: &FitRecord) -> String {
 
 /// Some covariance lies on its boundary.
 pub(crate) fn is_singular(record: &FitRecord) -> bool {
-    record.phases.iter().any(|p| !p.boundary.is_empty()) || record.levels.iter().any(|level| !level.boundary.is_empty())
+    record.phases.iter().any(|p| !p.boundary.is_empty()) || record.all_levels().any(|level| !level.boundary.is_empty())
 }
 
 /// Something is not identified.
 pub(crate) fn is_blind(record: &FitRecord) -> bool {
     record.phases.iter().any(|p| !p.unidentified.is_empty())
-        || record.levels.iter().any(|level| !level.unidentified.is_empty())
+        || record.all_levels().any(|level| !level.unidentified.is_empty())
         || record.parameters.iter().any(|p| p.standing.as_deref() == Some("unidentified"))
 }
 

@@ -1,11 +1,11 @@
-//! Tests in groups: how much of the spread is from group to group of each level.
+//! Tests in groups: how much of the spread is from group to group of each level and crossed factor.
 
 use kalfit::FitRecord;
 use kalfit::record::LevelRecord;
 
 use super::places::{TABLE, outer, places};
 use super::states::{FigureCells, spread};
-use super::{correlations, doubts, outlying_groups};
+use super::{correlations, doubts, effects, outlying_groups};
 use crate::number::{FigurePrecision, plain};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -19,7 +19,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         sentences.extend(boundaries(level, &place));
         sentences.extend(doubts::unidentified(&level.unidentified, &level.states, false));
     }
-    let sums = record.levels.iter().any(|level| level.unidentified.iter().any(|one| !one.phases.is_empty()));
+    let sums = record.all_levels().any(|level| level.unidentified.iter().any(|one| !one.phases.is_empty()));
     if sums {
         sentences.push(
             "These data cannot separate the levels: only sums of their covariances are known (see the notes)."
@@ -32,6 +32,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     for (level, place) in outer(record) {
         sections.push(correlations::section(level.into(), &place, &unchanged, page));
     }
+    sections.extend(record.crossed.iter().map(|factor| effects::section(factor, page)));
     sections.push(outlying_groups::section(record, page));
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
@@ -45,10 +46,10 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<TextColumn> {
     };
     let (mut state, mut level, mut groups, mut figure, mut beside, mut ends, mut share) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let varying = |i: &usize| record.levels.iter().any(|one| !is_held_at_zero(one, *i));
+    let varying = |i: &usize| record.all_levels().any(|one| !is_held_at_zero(one, *i));
     for i in (0..states).filter(varying) {
-        let all: f64 = record.levels.iter().map(|one| variance(one, i)).sum();
-        let shown = record.levels.iter().zip(names).filter(|(one, _)| !is_held_at_zero(one, i));
+        let all: f64 = record.all_levels().map(|one| variance(one, i)).sum();
+        let shown = record.all_levels().zip(names).filter(|(one, _)| !is_held_at_zero(one, i));
         for (k, (one, name)) in shown.enumerate() {
             let (value, error): FigureCells = std_dev(one, i);
             state.push(if k == 0 { one.states[i].clone() } else { String::new() });
@@ -58,7 +59,7 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<TextColumn> {
             beside.push(error);
             ends.push(interval(one, i));
             let part = variance(one, i) / all;
-            let known = all > 0.0 && !record.levels.iter().any(|level| is_open(level, i));
+            let known = all > 0.0 && !record.all_levels().any(|level| is_open(level, i));
             share.push(if known { format!("{} %", plain(100.0 * part, 3)) } else { "-".to_owned() });
         }
     }
@@ -78,7 +79,7 @@ fn is_fixed(level: &LevelRecord, i: usize) -> bool {
 }
 
 /// The model says that the state does not vary at the level.
-pub(super) fn is_held_at_zero(level: &LevelRecord, i: usize) -> bool {
+pub(crate) fn is_held_at_zero(level: &LevelRecord, i: usize) -> bool {
     is_fixed(level, i) && level.std_dev.estimate.get(i) == Some(&0.0)
 }
 

@@ -6,6 +6,7 @@ mod combination;
 pub(crate) mod constraints;
 pub(crate) mod correlations;
 pub(crate) mod doubts;
+pub(crate) mod effects;
 pub(crate) mod few_tests;
 pub(crate) mod groups;
 pub(crate) mod headline;

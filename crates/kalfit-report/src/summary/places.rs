@@ -13,9 +13,16 @@ pub(crate) const TABLE: &str = "Spread by level";
 /// The levels and their groups: for the first lines.
 pub(crate) fn counted(record: &FitRecord) -> Option<String> {
     let (tests, levels) = record.levels.split_last()?;
-    let groups: Vec<String> =
-        levels.iter().map(|level| format!("{} of `{}`", count(level.groups, "group"), clean(&level.name))).collect();
-    Some(format!("Levels: {}; {} within them.", list(&groups, MOST_NAMES), count(tests.groups, "test")))
+    let of = |level: &LevelRecord, what: &str| format!("{} of `{}`", count(level.groups, what), clean(&level.name));
+    let groups: Vec<String> = levels.iter().map(|level| of(level, "group")).collect();
+    let factors: Vec<String> = record.crossed.iter().map(|factor| of(&factor.level, "level")).collect();
+    let crossed = || format!("Crossed: {}", list(&factors, MOST_NAMES));
+    let tests = count(tests.groups, "test");
+    Some(match (groups.is_empty(), factors.is_empty()) {
+        (true, _) => format!("{}; {tests}.", crossed()),
+        (false, true) => format!("Levels: {}; {tests} within them.", list(&groups, MOST_NAMES)),
+        (false, false) => format!("Levels: {}; {tests} within them. {}.", list(&groups, MOST_NAMES), crossed()),
+    })
 }
 
 /// The name of a group of the innermost level, as in "within one chip"; nothing without levels.
@@ -32,25 +39,27 @@ pub(crate) fn within(record: &FitRecord) -> String {
 /// The levels of groups with where their states vary, with a space in front.
 pub(crate) fn outer(record: &FitRecord) -> Vec<(&LevelRecord, String)> {
     let places = places(record).into_iter().map(|place| format!(" from {place}"));
-    record.levels.iter().zip(places).filter(|(level, _)| level.column.is_some()).collect()
+    record.all_levels().zip(places).filter(|(level, _)| level.column.is_some()).collect()
 }
 
 /// Where a reader finds what varies from group to group.
 pub(crate) fn elsewhere(record: &FitRecord) -> Option<String> {
-    let (_, groups) = record.levels.split_last()?;
-    let unit = innermost(record)?;
-    let places: Vec<String> = places(record)[..groups.len()].iter().map(|place| format!("from {place}")).collect();
+    let groups = record.all_levels().count().checked_sub(1).filter(|groups| *groups > 0)?;
+    let places: Vec<String> = places(record)[..groups].iter().map(|place| format!("from {place}")).collect();
+    let unit = innermost(record).map_or_else(|| "alone".to_owned(), |unit| format!("of one {unit}"));
     Some(format!(
-        "These standard deviations describe tests of one {unit}; see \"{TABLE}\" for those {}.",
+        "These standard deviations describe tests {unit}; see \"{TABLE}\" for those {}.",
         list(&places, MOST_NAMES)
     ))
 }
 
-/// Where the states of each level vary, the outermost first: `lot to lot`, `chip to chip`, `within one chip`.
+/// Where the states of each crossed factor and of each level vary, the outermost first: `station to station`,
+/// `lot to lot`, `chip to chip`, `within one chip`.
 pub(crate) fn places(record: &FitRecord) -> Vec<String> {
     let place = |level: &LevelRecord| match level.column {
         Some(_) => format!("{0} to {0}", clean(&level.name)),
+        None if innermost(record).is_none() => "test to test".to_owned(),
         None => within(record).trim_start().to_owned(),
     };
-    record.levels.iter().map(place).collect()
+    record.all_levels().map(place).collect()
 }

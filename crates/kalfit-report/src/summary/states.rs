@@ -89,7 +89,7 @@ fn by_level(record: &FitRecord, phase: &PhaseRecord, title: &dyn Fn(&str) -> Str
         columns.push(column("95 % interval", &|i| interval(phase, i)));
     }
     let places = places::places(record);
-    columns.extend(record.levels.iter().zip(&places).map(|(level, place)| {
+    columns.extend(record.all_levels().zip(&places).map(|(level, place)| {
         column(place, &|i| {
             if levels::is_held_at_zero(level, i) { String::new() } else { both(levels::std_dev(level, i)) }
         })

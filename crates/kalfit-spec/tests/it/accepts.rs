@@ -59,7 +59,13 @@ fn a_random_coefficient_model_is_two_constants_seen_through_a_column() {
     assert_eq!(model.title, "Reaction time under sleep deprivation");
     assert_eq!(
         spec.layout,
-        Layout { test: TestKey::Column("Subject".to_owned()), levels: Vec::new(), missing: Vec::new(), comment: None }
+        Layout {
+            test: TestKey::Column("Subject".to_owned()),
+            levels: Vec::new(),
+            crossed: Vec::new(),
+            missing: Vec::new(),
+            comment: None
+        }
     );
     assert_eq!(model.estimated_names(), ["intercept", "slope"]);
     assert!(model.states.iter().all(|s| s.motion == Motion::Constant && s.initial == Initial::Estimated && s.random));

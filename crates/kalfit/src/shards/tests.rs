@@ -251,6 +251,7 @@ fn in_groups(sigma: kalfit_model::build::ParameterBuilder, levels: &[&str], test
     let level = |(column, name): (usize, &&str)| GroupLevel {
         name: (*name).to_owned(),
         column,
+        crossed: false,
         covariance: CovarianceStructure::full(),
     };
     model.levels = levels.iter().enumerate().map(level).collect();
@@ -305,7 +306,7 @@ fn groups_of_tests_with_a_time_constant() {
         .unwrap();
     model.phases[0].model.text_columns = vec![Column { name: "unit".to_owned(), used_in: "levels".to_owned() }];
     let covariance = CovarianceStructure::full();
-    model.levels = vec![GroupLevel { name: "unit".to_owned(), column: 0, covariance }];
+    model.levels = vec![GroupLevel { name: "unit".to_owned(), column: 0, crossed: false, covariance }];
     let design = |j: usize| {
         let rows = 20 + j % 5;
         Columns::new(format!("t{j}"))

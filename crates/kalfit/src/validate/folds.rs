@@ -121,11 +121,11 @@ impl Folds {
     }
 }
 
-/// For each test the name of what is left out as a whole: the test, or its group of the outermost level.
+/// For each test the name of what is left out as a whole: the test, or its group of the outermost nested level.
 fn pieces(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Result<Vec<String>, FoldsError> {
     let found = grouping(model, tests).map_err(|error| FoldsError::Validate(Box::new(error.into())))?;
-    let Some(grouping) = found else { return Ok(tests.iter().map(|test| test.id.to_string()).collect()) };
-    let level = model.levels.len() - 1;
+    let outermost = found.and_then(|grouping| Some((grouping.nested().checked_sub(1)?, grouping)));
+    let Some((level, grouping)) = outermost else { return Ok(tests.iter().map(|test| test.id.to_string()).collect()) };
     let name = |test: &PhasedTest| {
         let number = grouping.number(&test.id).unwrap_or_default();
         let group = &grouping.groups(level)[grouping.group_of(number, level)];

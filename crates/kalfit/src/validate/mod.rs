@@ -195,9 +195,11 @@ fn applied(
         LeftOut { within, innovations: series.len(), distance: posterior.distance }
     };
     let each = said.innovations.iter().zip(said.posteriors.iter()).map(left).collect();
-    let pieces = match (said.groups.last(), grouping(model, tests)?) {
-        (Some(groups), Some(grouping)) => {
-            let level = model.levels.len() - 1;
+    let grouping = grouping(model, tests)?;
+    // where groups cross, a unit is predicted as one at levels that nobody has met
+    let outermost = grouping.as_ref().and_then(|grouping| grouping.nested().checked_sub(1));
+    let pieces = match (outermost.map(|level| (level, &said.groups[level])), grouping) {
+        (Some((level, groups)), Some(grouping)) => {
             let mut seen = vec![0; groups.len()];
             for (test, observations) in tests.iter().zip(&observations) {
                 if let Some(number) = grouping.number(&test.id) {

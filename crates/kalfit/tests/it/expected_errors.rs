@@ -323,6 +323,7 @@ fn expected_errors_over_levels_of_groups_are_those_of_the_dense_law() {
     let level = |(column, name): (usize, &str)| GroupLevel {
         name: name.to_owned(),
         column,
+        crossed: false,
         covariance: CovarianceStructure::full(),
     };
     model.levels = ["lot", "unit"].into_iter().enumerate().map(level).collect();

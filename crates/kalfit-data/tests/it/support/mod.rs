@@ -48,7 +48,13 @@ pub(crate) fn with_unit(mut model: PhasedModel, unit: &str) -> PhasedModel {
 }
 
 pub(crate) fn by(column: &str) -> Layout {
-    Layout { test: TestKey::Column(column.into()), levels: Vec::new(), missing: Vec::new(), comment: None }
+    Layout {
+        test: TestKey::Column(column.into()),
+        levels: Vec::new(),
+        crossed: Vec::new(),
+        missing: Vec::new(),
+        comment: None,
+    }
 }
 
 /// Keeps everything, and notes what happened.
