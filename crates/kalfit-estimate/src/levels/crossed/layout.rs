@@ -124,6 +124,11 @@ impl Crossing {
         Crossing { tree, factors, parts }
     }
 
+    /// Blocks of Σ of the tests, of the groups from the innermost on, and of the factors.
+    pub(super) fn order(&self) -> Vec<usize> {
+        std::iter::once(0).chain(self.tree.iter().chain(&self.factors).copied()).collect()
+    }
+
     /// Number of tests, then number of groups of each level that tests are in.
     pub(in crate::levels) fn counts(&self) -> Vec<f64> {
         let mut counts = vec![0.0; 1 + self.tree.len() + self.factors.len()];

@@ -10,7 +10,8 @@
 //! levels:  dC = -C dK C + (I-CK)E(I-KC)      dN = (I-KC)dK(I-CK) - NEN
 //! ```
 //!
-//! where the terms with E are those of the nodes at the level of E alone.
+//! where the terms with E are those of the nodes at the level of E alone. The second derivatives are symmetric, so that N
+//! is followed only at the level of E and at those above it: tests, then groups from the innermost on, then factors.
 #![expect(non_snake_case, reason = "W, J, D, H, T, K, C, N, E are the letters of the theory")]
 
 use nalgebra::DMatrix;
@@ -46,7 +47,8 @@ struct MembersTangent {
 }
 
 impl PartAt<'_> {
-    /// Σ dN along an element over the nodes of each block of Σ.
+    /// Σ dN along an element over the nodes of each block of Σ from that of the element on, in the order of tests, groups
+    /// and factors; zero for blocks before.
     pub(super) fn weights_along(&self, crossing: &Crossing, element: SigmaElement) -> Vec<Rows> {
         let p = self.p;
         let E = element.matrix(p);
@@ -54,13 +56,17 @@ impl PartAt<'_> {
             let of = |leaf: &crate::levels::walk::Integrated<f64>| minus(&leaf.W.times(&E).times(&leaf.W));
             self.leaves.iter().map(of).collect()
         });
+        if crossing.factors.contains(&element.level) {
+            return self.of_levels(crossing, (element, &E), &[]).1;
+        }
         let units = || self.part.units.par_iter().zip(&self.units);
         let up =
             |(unit, own): (&Unit, &EliminatedUnit)| upward(unit, own, crossing, (element, &E), of_tests.as_deref());
         let tangents: Vec<UnitTangent> = units().map(up).collect();
         let (dC, mut sums) = self.of_levels(crossing, (element, &E), &tangents);
+        let lowest = crossing.tree.iter().position(|&block| block == element.level);
         let down = |((unit, own), (weights, tangent)): ((&Unit, &EliminatedUnit), (&UnitWeights, &UnitTangent))| {
-            self.downward((unit, own), (weights, tangent), of_tests.as_deref(), (crossing, &dC))
+            self.downward((unit, own), (weights, tangent), (lowest, of_tests.as_deref()), (crossing, &dC))
         };
         let by_unit: Vec<Vec<Rows>> = units().zip(self.weights.par_iter().zip(&tangents)).map(down).collect();
         for unit in by_unit {
@@ -69,7 +75,7 @@ impl PartAt<'_> {
         sums
     }
 
-    /// dC, and Σ dN over the levels of each factor, by block of Σ.
+    /// dC unless the element is of a factor, and Σ dN over the levels of each factor, by block of Σ.
     fn of_levels(
         &self,
         crossing: &Crossing,
@@ -86,17 +92,8 @@ impl PartAt<'_> {
             Rows::from_fn(p, p, |i, k| all[(row * p + i, column * p + k)])
         };
         if let Some(factor) = crossing.factors.iter().position(|&own| own == element.level) {
-            let (rest, weights) = (self.dense.rest(), self.dense.weights());
+            let weights = self.dense.weights();
             let own: Vec<usize> = levels().filter(|(_, level)| level.0 == factor).map(|(number, _)| number).collect();
-            // (I⊗E)_f (I-KC)
-            let mut moved = DMatrix::zeros(size, size);
-            for &level in &own {
-                for (i, k) in element.places() {
-                    let row = rest.row(level * p + k).into_owned();
-                    let mut to = moved.row_mut(level * p + i);
-                    to += row;
-                }
-            }
             for (number, (factor, _)) in levels() {
                 let sum = &mut sums[crossing.factors[*factor]];
                 for &level in &own {
@@ -104,7 +101,7 @@ impl PartAt<'_> {
                     *sum = sum.clone().less(&N.times(E).times_transpose(&N));
                 }
             }
-            return (rest.transpose() * moved, sums);
+            return (DMatrix::zeros(0, 0), sums);
         }
         let mut dK = DMatrix::zeros(size, size);
         self.part.units.iter().zip(tangents).for_each(|(unit, tangent)| scatter(&tangent.K, unit, p, &mut dK));
@@ -118,12 +115,13 @@ impl PartAt<'_> {
         (-(&self.dense.C * dK * &self.dense.C), sums)
     }
 
-    /// Σ dN over the tests and groups of a unit, by block of Σ.
+    /// Σ dN over the tests of a unit, where dW of each design is given, and over its groups of the kind `lowest` and those
+    /// around them, by block of Σ.
     fn downward(
         &self,
         (unit, own): (&Unit, &EliminatedUnit),
         (weights, tangent): (&UnitWeights, &UnitTangent),
-        of_tests: Option<&[Rows]>,
+        (lowest, of_tests): (Option<usize>, Option<&[Rows]>),
         (crossing, dC): (&Crossing, &DMatrix<f64>),
     ) -> Vec<Rows> {
         let p = self.p;
@@ -131,7 +129,8 @@ impl PartAt<'_> {
         let mut sums = vec![Rows::zeros(p, p); 1 + crossing.tree.len() + crossing.factors.len()];
         let last = unit.groups.len() - 1;
         let mut means: Vec<MeanTangent> = Vec::with_capacity(unit.groups.len());
-        for (number, group) in unit.groups.iter().enumerate().rev() {
+        let followed = unit.groups.iter().enumerate().filter(|(_, group)| lowest.is_none_or(|kind| group.kind >= kind));
+        for (number, group) in followed.rev() {
             let eliminated = &own.groups[number];
             let change = tangent.groups[number].as_ref();
             let above = (group.parent != number).then(|| (&weights.groups[group.parent], &means[last - group.parent]));
@@ -159,19 +158,17 @@ impl PartAt<'_> {
             *sum = sum.clone().plus(&dN);
             means.push(mean);
         }
-        let mut sum = Rows::zeros(p, p);
-        for (test, V) in unit.tests.iter().zip(&weights.tests) {
-            let mean = &means[last - test.group];
-            let W = &self.leaves[test.leaf].W;
-            let mut dV = mean.V.clone();
-            add_members(&mut dV, test, &dC, &mean.y);
-            sum = sum.less(&W.times(&dV).times(W));
-            if let Some(of_tests) = of_tests {
-                let dW = &of_tests[test.leaf];
-                sum = sum.plus(dW).less(&with_transpose(&dW.times(V).times(W)));
+        if let Some(of_tests) = of_tests {
+            for (test, V) in unit.tests.iter().zip(&weights.tests) {
+                let mean = &means[last - test.group];
+                let (W, dW) = (&self.leaves[test.leaf].W, &of_tests[test.leaf]);
+                let mut dV = mean.V.clone();
+                add_members(&mut dV, test, &dC, &mean.y);
+                let both = with_transpose(&dW.times(V).times(W));
+                let sum = &mut sums[0];
+                *sum = std::mem::replace(sum, Rows::zeros(0, 0)).plus(dW).less(&both).less(&W.times(&dV).times(W));
             }
         }
-        sums[0] = sum;
         sums
     }
 }

@@ -104,7 +104,7 @@ impl DataColumns {
                 let data = Rows::from_fn(test.data.len(), 1, |i, _| test.data[i]);
                 let leaf = &leaves[test.leaf];
                 let left = Rows::solved_transposed(&leaf.upper, at.data((&units.leaves[test.leaf], &data), before));
-                add_products(&mut products, (&left.transposed(), &left.transposed()), 0);
+                products = std::mem::replace(&mut products, Rows::zeros(0, 0)).plus(&left.transpose_times(&left));
                 leaf.half.transpose_times(&left)
             };
             (unit.tests.iter().map(one).collect::<Vec<Rows>>(), products)
@@ -194,14 +194,19 @@ impl Totals<'_> {
         }
         let along: Vec<Vec<Rows>> =
             elements.iter().map(|element| here.weights_along(self.crossing, *element)).collect();
-        for (e, sums) in along.iter().enumerate() {
-            for (block, dN) in sums.iter().enumerate() {
+        let order = self.crossing.order();
+        for (e, (element, sums)) in elements.iter().zip(&along).enumerate() {
+            let from = order.iter().position(|block| *block == element.level).unwrap_or(0);
+            for &block in &order[from..] {
                 for i in 0..p {
                     for k in 0..=i {
                         let row = block * pairs(p) + pair(i, k);
-                        let part = if i == k { -0.5 } else { -1.0 } * 0.5 * (dN[(i, k)] + dN[(k, i)]);
-                        totals.expected[(row, e)] += part;
-                        totals.observed[(row, e)] -= part;
+                        let part = if i == k { -0.5 } else { -1.0 } * 0.5 * (sums[block][(i, k)] + sums[block][(k, i)]);
+                        let places = [(row, e), (e, row)];
+                        for place in places.into_iter().take(if block == element.level { 1 } else { 2 }) {
+                            totals.expected[place] += part;
+                            totals.observed[place] -= part;
+                        }
                     }
                 }
             }
