@@ -149,6 +149,11 @@ impl Sums {
         }
     }
 
+    /// Σ (d - Rμ)'(I + RΣR')⁻¹(d - Rμ) of all tests together.
+    pub fn quadratic(&self) -> f64 {
+        self.quadratic
+    }
+
     /// Σ X'W ⊗ WX.
     pub(crate) fn spread(&self) -> &DMatrix<f64> {
         &self.spread

@@ -6,7 +6,7 @@ use kalfit::estimate::Structure;
 use kalfit::model::{GroupLevel, Phase, Slots, Value};
 use kalfit::record::{
     DataRecord, InformationRecord, LevelCounts, ObservabilityRecord, UnidentifiedRecord, WeakRecord, crossing_notes,
-    level_notes, shortage_notes,
+    factor_notes, level_notes, shortage_notes,
 };
 use kalfit::reduce::grouping;
 use kalfit::{Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
@@ -152,6 +152,7 @@ fn examined(
     let infer::Examination { unidentified, explanations, observability, phases } = found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));
+    said.extend(grouping.map_or(Vec::new(), |grouping| factor_notes(model, grouping)));
     notes.splice(0..0, said);
     let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
     let mut blind = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();
@@ -170,7 +171,7 @@ fn examined(
     CheckFindings::Reduced { data: DataRecord::of(reductions, files), phases, levels, notes, at_start_of }
 }
 
-/// The levels, the outermost first. `blind` gives what is not identified of each, the innermost first.
+/// The crossed factors, then the levels, the outermost first. `blind` gives what is not identified of each, the innermost first.
 fn levels(
     model: &PhasedModel,
     grouping: &Grouping,
@@ -178,6 +179,9 @@ fn levels(
 ) -> Vec<CheckedLevel> {
     let states = model.phases[0].model.estimated_names();
     let inner = |level: usize| match level {
+        _ if level >= grouping.nested() => {
+            (0..grouping.tests()).map(|test| grouping.group_of(test, level)).collect::<Vec<_>>()
+        }
         0 => (0..grouping.tests()).map(|test| grouping.group_of(test, 0)).collect::<Vec<_>>(),
         _ => grouping.groups(level - 1).iter().filter_map(|group| group.parent).collect(),
     };
@@ -186,9 +190,11 @@ fn levels(
         inner(level).into_iter().for_each(|group| members[group] += 1);
         CheckedLevel {
             name: named.name.clone(),
+            crossed: named.crossed,
             groups: members.len(),
             members: level
                 .checked_sub(1)
+                .filter(|_| !named.crossed)
                 .and_then(|inner| model.levels.iter().nth_back(inner))
                 .map_or("test".to_owned(), |of| of.name.clone()),
             members_each: (members.iter().copied().min().unwrap_or(0), members.iter().copied().max().unwrap_or(0)),

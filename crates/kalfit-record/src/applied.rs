@@ -93,6 +93,8 @@ pub enum Basis {
     Tests,
     /// Nothing: the tests are those that the parameters were estimated from.
     OwnTests,
+    /// Nothing, although the parameters were estimated: groups of the tests cross.
+    Crossed,
 }
 
 /// A sum of squares over all tests and its law.
@@ -228,7 +230,10 @@ impl AppliedRecord {
             observations: seen,
             log_density,
             distance: distance.into(),
-            of: model.levels.first().map_or("test", |level| level.name.as_str()).to_owned(),
+            of: match model.levels.first() {
+                Some(level) if !level.crossed => level.name.clone(),
+                _ => "test".to_owned(),
+            },
             residual: residual.into(),
             outlying: far.iter().take_while(|one| stands_out(one)).cloned().collect(),
             furthest: far.into_iter().next(),

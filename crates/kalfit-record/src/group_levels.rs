@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use crate::factors::factor_notes;
 use crate::figure::figures;
 use crate::square::rows;
 use crate::{
@@ -164,6 +165,7 @@ impl FitRecord {
         inference: &Inference,
     ) {
         let Some(grouping) = grouping else { return };
+        self.notes.extend(factor_notes(model, grouping));
         let names = |level: usize, group: usize| -> Vec<String> {
             grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
         };

@@ -228,6 +228,11 @@ fn allowed_for(record: &AppliedRecord) -> String {
     let from = clean(&record.from);
     match record.basis {
         Basis::Given => "The parameters are taken as exactly known.".to_owned(),
+        Basis::Crossed => {
+            "The parameters are taken as exactly known: where groups cross, errors of the estimates are not allowed \
+                           for, so that p-values are too small where the fit rests on few levels."
+                .to_owned()
+        }
         Basis::OwnTests => format!(
             "The parameters of {from} were estimated from these same tests, so the sums of squares are close to what is expected. New \
              tests are compared with wider distributions."

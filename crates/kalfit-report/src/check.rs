@@ -83,7 +83,7 @@ pub enum CheckFindings {
         data: DataRecord,
         /// What they say of each phase.
         phases: Vec<CheckedPhase>,
-        /// The levels of groups that tests stand in, the outermost first.
+        /// The crossed factors, then the levels of groups that tests stand in, the outermost first.
         levels: Vec<CheckedLevel>,
         /// What else a fit will run into, in sentences.
         notes: Vec<String>,
@@ -110,6 +110,8 @@ pub struct PhaseCounts {
 pub struct CheckedLevel {
     /// Its name.
     pub name: String,
+    /// Whether it is a crossed factor.
+    pub crossed: bool,
     /// Number of its groups.
     pub groups: usize,
     /// What its members are: the next level's name, or `test`.
@@ -202,8 +204,11 @@ fn grouped(levels: &[CheckedLevel]) -> Vec<String> {
         } else {
             format!("{least} to {}", count(most, &level.members))
         };
-        let mut sentences =
-            vec![format!("Level `{}`: {} of {each}.", clean(&level.name), count(level.groups, "group"))];
+        let (what, groups) = match level.crossed {
+            true => ("Crossed factor", count(level.groups, "level")),
+            false => ("Level", count(level.groups, "group")),
+        };
+        let mut sentences = vec![format!("{what} `{}`: {groups} of {each}.", clean(&level.name))];
         sentences.extend(doubts::unidentified(&level.unidentified, &level.states, false));
         sentences
     };

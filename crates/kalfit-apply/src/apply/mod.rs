@@ -32,7 +32,7 @@ pub(crate) use predicted::{EvaluatedPhase, StateForm, ValueSubject};
 pub use states::{PhaseStates, Prediction, StateKind, StepStates};
 pub use verdict::{Joint, Verdict};
 
-use kalfit_estimate::{Combination, Criterion, PhaseStructure, Point, Problem, Settings, Structure, evidence};
+use kalfit_estimate::{Combination, Criterion, Order, PhaseStructure, Point, Problem, Settings, Structure, evidence};
 use kalfit_filter::innovations::{Innovations, innovations};
 use kalfit_filter::reduce::{PhasedReducer, Reductions, grouping};
 use kalfit_infer::{GroupPosterior, Posterior, Posteriors, posteriors_at};
@@ -70,6 +70,19 @@ pub struct Said {
     /// distance are independent, also where tests are in groups. `None` where a phase is not given by rows, and where
     /// the squared distance is so large that the difference is only rounding.
     pub residuals: Vec<Option<(f64, usize)>>,
+    /// The distance of all tests together, where groups cross, so that no test is independent of the others.
+    pub joint: Option<JointDistance>,
+}
+
+/// What all tests together say of a population.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointDistance {
+    /// (d - Rμ)'Ω⁻¹(d - Rμ) over all tests.
+    pub squared: f64,
+    /// Sum of the ranks of the tests' information.
+    pub degrees_of_freedom: usize,
+    /// log p of all measurements.
+    pub log_density: f64,
 }
 
 /// Largest rounding error of a residual that is reported, relative to 1 + the residual.
@@ -131,7 +144,13 @@ impl<'a> Applied<'a> {
             is_precise.then_some((residual, degrees))
         };
         let residuals = self.tests.iter().zip(&innovations).zip(posteriors.iter()).map(residual).collect();
-        Ok(Said { posteriors, groups, innovations, residuals })
+        let crossed = self.grouping.as_deref().is_some_and(Grouping::is_crossed);
+        let joint = crossed.then(|| {
+            let sums = self.problem.likelihood(&self.point, Order::First);
+            let degrees = posteriors.iter().map(|test| test.distance.degrees_of_freedom).sum();
+            JointDistance { squared: sums.quadratic(), degrees_of_freedom: degrees, log_density: sums.value }
+        });
+        Ok(Said { posteriors, groups, innovations, residuals, joint })
     }
 
     /// Whether every phase of the test is given by rows and has no separate filter.

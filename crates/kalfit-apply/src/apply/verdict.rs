@@ -48,6 +48,9 @@ impl Said {
         };
         let tests = count_and_sum(&mut self.posteriors.iter().map(|test| test.distance.degrees_of_freedom));
         let residuals = count_and_sum(&mut self.residuals.iter().flatten().map(|own| own.1));
+        if let Some(joint) = &self.joint {
+            return [(tests.0, joint.degrees_of_freedom), (0, 0), residuals];
+        }
         match self.groups.last() {
             Some(groups) => {
                 let groups = count_and_sum(&mut groups.iter().map(|group| group.distance.degrees_of_freedom));
@@ -61,11 +64,13 @@ impl Said {
     pub fn verdict(&self, laws: &Laws) -> Verdict {
         let [(_, distance_degrees), (_, within_degrees), (_, residual_degrees)] = self.degrees();
         // tests of one group are not independent; groups of the outermost level are
-        let squared = match self.groups.last() {
-            Some(groups) => groups.iter().map(|group| group.distance.squared).sum(),
-            None => self.posteriors.iter().map(|test| test.distance.squared).sum(),
+        let squared = match (&self.joint, self.groups.last()) {
+            (Some(joint), _) => joint.squared,
+            (None, Some(groups)) => groups.iter().map(|group| group.distance.squared).sum(),
+            (None, None) => self.posteriors.iter().map(|test| test.distance.squared).sum(),
         };
-        let within = self.groups.last().map(|groups| {
+        let nested = self.groups.last().filter(|_| self.joint.is_none());
+        let within = nested.map(|groups| {
             let squared = groups.iter().map(|group| group.within).sum();
             Joint::new(squared, within_degrees, laws.within)
         });
@@ -79,11 +84,13 @@ impl Said {
     }
 
     /// Log density of all measured values: the sum over the groups of the outermost level, or over the tests where
-    /// there are no groups, because tests of one group are not independent.
+    /// there are no groups, because tests of one group are not independent; that of all tests together where groups
+    /// cross.
     pub fn log_density(&self) -> f64 {
-        match self.groups.last() {
-            Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),
-            None => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
+        match (&self.joint, self.groups.last()) {
+            (Some(joint), _) => joint.log_density,
+            (None, Some(groups)) => groups.iter().map(|group| group.log_likelihood).sum(),
+            (None, None) => self.posteriors.iter().map(|test| test.log_likelihood).sum(),
         }
     }
 }

@@ -17,7 +17,7 @@ use crate::refused::by_apply;
 use crate::table::OutputTable;
 use crate::truth::Truth;
 use crate::work::{JobWatch, JobWork};
-use crate::{model, tests, truth};
+use crate::{tests, truth};
 
 /// Applies a fitted model to tests.
 ///
@@ -25,7 +25,6 @@ use crate::{model, tests, truth};
 /// Bad input, or [`Failure::Interrupted`].
 pub fn apply(job: &ApplyJob, watch: &mut dyn JobWatch) -> Result<JobDone<AppliedModel>, Failure> {
     let (mut spec, truth) = truth::load(&job.model, &job.from)?;
-    model::refuse_crossed(&spec, "a fitted model is not applied")?;
     let given = CommandInputs::open(&mut spec, &job.data)?;
     let used = files(&[&job.model.document, &job.from], &given.inputs);
     let [out, along] = [&job.tests, &job.states].map(|to| OutputTable::prepare(to, &used));
@@ -73,6 +72,7 @@ fn judged(
     let is_reduced = tests.iter().flat_map(|test| &test.phases).any(|own| !matches!(own, Evidence::Rows(_)));
     let (basis, laws) = match (&knowledge, truth.fitted) {
         _ if own == tests.len() => (Basis::OwnTests, Laws::known(said)),
+        (_, Some(_)) if !spec.model.factors().is_empty() => (Basis::Crossed, Laws::known(said)),
         (None, Some(fitted)) => (Basis::Tests, applied.laws(said, &Trust::Tests(fitted))?),
         (_, None) => (Basis::Given, Laws::known(said)),
         (Some(known), Some(_)) => {

@@ -83,7 +83,7 @@ pub enum SumsError {
     },
     /// Groups that are not in one place.
     #[error(
-        "`{file}` and `{first}` both have tests of {found} of the groups of `{level}`, expected all tests of a group in one place"
+        "`{file}` and `{first}` both have tests of {found} of the groups of {level}, expected all tests of a group in one place"
     )]
     Groups {
         /// The file.
@@ -92,7 +92,7 @@ pub enum SumsError {
         first: String,
         /// How many groups both have.
         found: usize,
-        /// The outermost level.
+        /// The outermost level and the crossed factors, in words.
         level: String,
     },
     /// Not all places are there, or not all of their tests.

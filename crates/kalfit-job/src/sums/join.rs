@@ -160,9 +160,11 @@ fn twice(sums: &[SiteSums]) -> Option<(usize, usize)> {
     (0..sums.len()).find_map(|at| Some((at, before(at)?)))
 }
 
-/// Each group of the outermost level is in one place.
+/// Each group of the outermost level, and each level of a crossed factor, is in one place.
 fn apart(sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<(), SumsError> {
     let mut places: HashMap<&str, usize> = HashMap::new();
+    let outermost = spec.model.nested().iter().take(1).chain(spec.model.factors());
+    let levels: Vec<String> = outermost.map(|level| format!("`{}`", level.name)).collect();
     for (at, (file, own)) in sums.iter().enumerate() {
         let before: Vec<usize> = own.groups.iter().filter_map(|group| places.insert(group, at)).collect();
         let Some(&first) = before.iter().min() else { continue };
@@ -170,7 +172,7 @@ fn apart(sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<(), SumsError> {
             file: (*file).to_owned(),
             first: sums[first].0.to_owned(),
             found: before.iter().filter(|place| **place == first).count(),
-            level: spec.model.levels.first().map_or_else(String::new, |level| level.name.clone()),
+            level: levels.join(" or "),
         });
     }
     Ok(())

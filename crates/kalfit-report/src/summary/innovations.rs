@@ -61,14 +61,21 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let Some(least) = findings.first() else { return String::new() };
     let improbable = findings.iter().take_while(|f| f.adjusted < SEARCH_LEVEL).count();
     let phases: Vec<&str> = record.phases.iter().map(|phase| phase.name.as_str()).collect();
-    let overall = overall(record.overall_innovations(), record.free_parameters) + &by_phase(&all, &phases);
+    let overall = match record.overall_innovations() {
+        (0, _) => None, // of tests in groups that cross
+        all_innovations => Some(overall(all_innovations, record.free_parameters) + &by_phase(&all, &phases)),
+    };
     let correlates = record.correlates();
     let body = match improbable {
-        0 => page.items(&[overall, probable(least, findings.len(), correlates)]),
+        0 => {
+            let sentences = overall.into_iter().chain([probable(least, findings.len(), correlates)]);
+            page.items(&sentences.collect::<Vec<_>>())
+        }
         n => {
             let (found, all) = (&findings[..n], findings.len());
             shown(found, (phases.len() > 1, correlates), page)
-                + &page.items(&[meaning(found, (all, correlates), page), overall])
+                + &page
+                    .items(&std::iter::once(meaning(found, (all, correlates), page)).chain(overall).collect::<Vec<_>>())
         }
     };
     page.section("Innovations (measured minus predicted)", &body)

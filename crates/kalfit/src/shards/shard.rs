@@ -65,8 +65,7 @@ impl Shard {
         }
         tests.sort_by(|a, b| a.id.cmp(&b.id));
         let grouping = grouping(&model, &tests)?.map(Arc::new);
-        let outermost = grouping.iter().flat_map(|grouping| grouping.groups(grouping.depth() - 1));
-        let mut groups: Vec<String> = outermost.map(|group| labels.text(group.path[0]).to_owned()).collect();
+        let mut groups = grouping.as_deref().map_or(Vec::new(), |grouping| apart(&model, labels, grouping));
         groups.sort();
         let scale = Scale::of(&model, &tests, &slots);
         let (batching, cached) = (Batching::default(), Mutex::new(None));
@@ -78,7 +77,8 @@ impl Shard {
         self.tests.len()
     }
 
-    /// Sorted names of the groups of the outermost level; all tests of a group must be in one place.
+    /// Sorted names of the groups of the outermost level and of the levels of crossed factors; all tests of a group must be
+    /// in one place.
     pub fn groups(&self) -> &[String] {
         &self.groups
     }
@@ -180,4 +180,18 @@ fn finite_sum(scores: &[Gradient], values: usize) -> Answer {
 /// The value from which `value` is scaled: the nearest power of four, which depends on `value` alone.
 fn origin(value: f64) -> f64 {
     if value > 0.0 && value.is_finite() { 2f64.powi(2 * (0.5 * value.log2()).round() as i32) } else { value }
+}
+
+/// Names of the groups whose tests must be in one place: those of the outermost level and, with the name of the factor
+/// before that of the level, those of crossed factors.
+fn apart(model: &PhasedModel, labels: &Labels, grouping: &Grouping) -> Vec<String> {
+    let of = |level: usize| {
+        let factor = &model.levels[grouping.depth() - 1 - level];
+        let name = move |group: &kalfit_model::Group| match factor.crossed {
+            true => format!("{}: {}", factor.name, labels.text(group.path[0])),
+            false => labels.text(group.path[0]).to_owned(),
+        };
+        grouping.groups(level).iter().map(name)
+    };
+    (grouping.nested().saturating_sub(1)..grouping.depth()).flat_map(of).collect()
 }

@@ -101,6 +101,7 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
         group_column: None,
         by_group: vec![],
         levels: vec![],
+        crossed: vec![],
         groups: vec![],
         group_test: None,
         notes: vec![],
