@@ -5,6 +5,7 @@ mod broken;
 mod check;
 mod coefficients;
 mod compare;
+mod crossed;
 mod datasheet;
 mod dynamic;
 mod em;

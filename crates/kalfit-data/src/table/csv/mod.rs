@@ -212,7 +212,10 @@ mod tests {
             covariance: kalfit::model::CovarianceStructure::full(),
         };
         let test = kalfit::TestKey::Column("id".to_owned());
-        WantedColumns::new(&model, &kalfit::Layout { test, levels: Vec::new(), crossed: Vec::new(), missing: Vec::new(), comment: None })
+        WantedColumns::new(
+            &model,
+            &kalfit::Layout { test, levels: Vec::new(), crossed: Vec::new(), missing: Vec::new(), comment: None },
+        )
     }
 
     /// What is read of a text in chunks of a size: every row with its place, and what is wrong with the next.

@@ -1,0 +1,289 @@
+//! Tests whose groups cross: units on stations, plates and samples.
+
+use crate::folder::{Folder, shown};
+use insta::assert_snapshot;
+use kalfit::FitRecord;
+use kalfit::record::RatioRecord;
+
+fn folder() -> Folder {
+    let folder = Folder::new(&[]);
+    for name in ["penicillin.toml", "penicillin.csv", "stations.toml", "stations.csv"] {
+        folder.copy(&format!("tests/data/crossed/{name}"));
+    }
+    folder
+}
+
+fn fit(folder: &Folder, command: &str) -> FitRecord {
+    let output = folder.run(&format!("fit {command} --out fit.json --quiet"));
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    serde_json::from_str(&std::fs::read_to_string(folder.path("fit.json")).expect("it was written")).expect("a record")
+}
+
+fn close(found: &[f64], expected: &[f64], tolerance: f64) {
+    assert_eq!(found.len(), expected.len());
+    for (found, expected) in found.iter().zip(expected) {
+        assert!((found - expected).abs() < tolerance * (1.0 + expected.abs()), "{found} {expected}");
+    }
+}
+
+fn variances(record: &FitRecord) -> Vec<f64> {
+    record.all_levels().flat_map(|level| level.covariance.estimate.iter().flatten().copied()).collect()
+}
+
+/// lme4 1.1-31: `diameter ~ 1 + (1 | plate) + (1 | sample)`.
+#[test]
+fn plates_and_samples_are_those_of_lme4() {
+    let folder = folder();
+    let found = fit(&folder, "penicillin.toml penicillin.csv");
+    assert!(found.converged);
+    close(&[found.log_likelihood, found.phases[0].mean.estimate[0]], &[-166.094174334, 22.972222222], 1e-9);
+    let deviations: Vec<f64> = variances(&found).iter().map(|v| v.sqrt()).collect();
+    close(&deviations, &[0.845572307, 1.770646909, 0.0], 1e-6);
+    close(&[found.parameters[0].estimate], &[0.549932329], 1e-6);
+    let names: Vec<(&str, usize)> =
+        found.crossed.iter().map(|factor| (factor.level.name.as_str(), factor.effects.len())).collect();
+    assert_eq!(names, [("plate", 24), ("sample", 6)]);
+    let samples: Vec<f64> = found.crossed[1].effects.iter().map(|one| one.mean[0]).collect();
+    close(&samples, &[2.185659766, -1.009830145, 1.936660552, -0.096833028, -0.01383329, -3.001823855], 1e-6);
+    let restricted = fit(&folder, "penicillin.toml penicillin.csv --criterion reml");
+    close(&[restricted.log_likelihood], &[-165.4302945], 1e-8);
+    let deviations: Vec<f64> = variances(&restricted).iter().map(|v| v.sqrt()).collect();
+    close(&deviations, &[0.8467, 1.9316, 0.0], 3e-5); // as lme4 rounds them
+}
+
+/// An independent maximisation of the dense likelihood, with the time constant and both noises free; the covariance from
+/// run to run has rank one there.
+#[test]
+fn units_on_stations_with_free_dynamics_are_those_of_the_dense_likelihood() {
+    let folder = folder();
+    let found = fit(&folder, "stations.toml stations.csv");
+    assert!(found.converged);
+    close(&[found.log_likelihood], &[-326.108235328], 1e-9);
+    let parameters: Vec<f64> = found.parameters.iter().map(|one| one.estimate).collect();
+    close(&parameters, &[3.361123697, 0.748924683, 0.242154311], 1e-6);
+    close(&found.phases[0].mean.estimate, &[1.186911734, -0.196543145], 1e-6);
+    let station = [0.383877838, 0.0, 0.0, 0.0];
+    let serial = [1.012331327, -0.036951313, -0.036951313, 0.075998154];
+    let run = [0.007539422, 0.008700046, 0.008700046, 0.010039339];
+    close(&variances(&found), &[station, serial, run].concat(), 2e-6);
+    let fixed_at_start = found.levels[1].boundary.iter().map(|one| (one.rank, one.of)).collect::<Vec<_>>();
+    assert_eq!(fixed_at_start, [(1, 2)]);
+}
+
+#[test]
+fn the_summary_shows_factors_beside_levels() {
+    let folder = folder();
+    let summary = shown(&folder.run("fit stations.toml stations.csv"));
+    let (from, to) = (summary.find("Levels:").expect("counts"), summary.find("Dynamic").expect("parameters"));
+    assert_snapshot!(&summary[from..to], @"
+    Levels: 10 groups of `serial`; 40 tests within them. Crossed: 5 levels of
+    `station`.
+
+    Initial state: mean, and standard deviation at each level (± standard error)
+      state            mean  station to station  serial to serial
+      bias      1.19 ± 0.43         0.62 ± 0.23       1.01 ± 0.25
+      scale  -0.197 ± 0.093                         0.276 ± 0.070
+
+      state       within one serial
+      bias     0.09 ± 0.19 boundary
+      scale  0.100 ± 0.043 boundary
+      With 5 levels of station, ± 1.96 standard errors hold the mean about 85 % of
+        the time; --criterion reml allows for that.
+
+    Correlations within one serial (± standard error)
+              bias
+      scale  1.000
+
+    What the data cannot determine
+      Within one serial, Σ is singular: rank 1 of 2; no variation from test to test
+        was found in one combination of these states.
+
+    Spread by level (share: part of the variance of the states)
+      state  spread      number  std dev                  95 % interval      share
+      bias   station to       5     0.62 ± 0.23           0.30 to 1.28      27.3 %
+             station
+             serial to       10     1.01 ± 0.25           0.62 to 1.65      72.1 %
+             serial
+             within one      40     0.09 ± 0.19 boundary  0.00 to 5.81     0.537 %
+             serial
+      scale  serial to       10    0.276 ± 0.070          0.168 to 0.452    88.3 %
+             serial
+             within one      40    0.100 ± 0.043          0.043 to 0.233    11.7 %
+             serial                      boundary
+
+    Correlations from serial to serial (± standard error)
+                     bias
+      scale  -0.13 ± 0.34
+
+    Effect of each station (± posterior standard deviation)
+      station  tests   bias
+      s0           9   0.63 ± 0.29
+      s1           5   0.06 ± 0.31
+      s2          11  -1.00 ± 0.28
+      s3          10   0.28 ± 0.29
+      s4           5   0.03 ± 0.31
+
+    Outlying groups
+      No group is an outlier: the smallest of 15 p-values is 0.09 (serial 0), or 1
+        after Bonferroni correction.
+    ");
+}
+
+#[test]
+fn a_factor_without_effect_is_a_hypothesis() {
+    let folder = folder();
+    std::fs::write(folder.path("null.toml"), "[crossed.station.covariance]\nstates = []\n").expect("a file");
+    let output = folder.run("test stations.toml stations.csv --null null.toml --out test.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let text = std::fs::read_to_string(folder.path("test.json")).expect("it was written");
+    let found: RatioRecord = serde_json::from_str(&text).expect("a record");
+    // the same as the model without the factor
+    let model = std::fs::read_to_string(folder.path("stations.toml")).expect("it was copied");
+    let without: String = model
+        .lines()
+        .filter(|line| !line.contains("crossed") && *line != "states = [\"bias\"]")
+        .map(|line| format!("{line}\n"))
+        .collect();
+    std::fs::write(folder.path("without.toml"), without).expect("a file");
+    let alone = fit(&folder, "without.toml stations.csv");
+    close(&[found.null.log_likelihood], &[alone.log_likelihood], 1e-8);
+}
+
+/// Laboratories that share no station: a station that all units of a laboratory meet, and no other unit, is a level
+/// around the units, and both spellings are one model.
+#[test]
+fn a_factor_around_all_units_is_a_level() {
+    let folder = folder();
+    let model = std::fs::read_to_string(folder.path("stations.toml")).expect("it was copied");
+    let data = std::fs::read_to_string(folder.path("stations.csv")).expect("it was copied");
+    let (head, rows) = data.split_once('\n').expect("a header");
+    let lab = |line: &str| {
+        let serial: usize = line.split(',').next().expect("a serial").parse().expect("a number");
+        format!("{line},lab{}\n", serial % 4)
+    };
+    let labs = format!("{head},lab\n{}", rows.lines().map(lab).collect::<String>());
+    std::fs::write(folder.path("labs.csv"), labs).expect("a file");
+    let crossed = model.replace("station", "lab").replace("Gyros on labs", "labs");
+    std::fs::write(folder.path("crossed.toml"), &crossed).expect("a file");
+    let nested = crossed.replace("crossed = [\"lab\"]\n", "").replace("[\"serial\"]", "[\"lab\", \"serial\"]");
+    std::fs::write(folder.path("nested.toml"), nested.replace("[crossed.lab", "[levels.lab")).expect("a file");
+    let (one, other) = (fit(&folder, "crossed.toml labs.csv"), fit(&folder, "nested.toml labs.csv"));
+    close(&[one.log_likelihood], &[other.log_likelihood], 1e-9);
+    close(&variances(&one), &variances(&other), 1e-5);
+    assert!(one.notes.iter().any(|note| note.contains("`lab` does not cross `serial`")), "{:?}", one.notes);
+}
+
+#[test]
+fn what_is_not_a_factor_is_refused_in_words() {
+    let folder = folder();
+    let model = std::fs::read_to_string(folder.path("stations.toml")).expect("it was copied");
+    let refused = |changed: String| {
+        assert_ne!(model, changed);
+        std::fs::write(folder.path("wrong.toml"), changed).expect("a file");
+        let output = folder.run("fit wrong.toml stations.csv");
+        assert_eq!(output.status.code(), Some(2));
+        shown(&output)
+    };
+    let listed = |to: &str| refused(model.replace("crossed = [\"station\"]", to));
+    let all = [
+        listed("crossed = []"),
+        listed("crossed = [\"serial\"]"),
+        listed("crossed = [\"run\"]"),
+        listed(""),
+        refused(model.replace("[crossed.station.", "[crossed.bench.")),
+        refused(model.replace("\"station\"", "\"rate\"").replace("crossed.station", "crossed.rate")),
+        refused(model.replace("station", "bench")),
+    ];
+    assert_snapshot!(all.join("\n"), @r#"
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: the model has 0 crossed factors, expected 1 to 10
+      --> wrong.toml:8:11 | crossed = []
+                          |           ^^
+
+    hint: without groups leave `crossed` out; with them, as in `crossed = ["station"]`
+
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `serial` stands twice in `levels` and `crossed` of `[data]`
+      --> wrong.toml:8:12 | crossed = ["serial"]
+                          |            ^^^^^^^^
+
+    hint: a column nests (`levels`) or crosses (`crossed`): take it out of one of them
+
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: column `run` tells tests apart, so it cannot be a level of groups of them
+      --> wrong.toml:8:12 | crossed = ["run"]
+                          |            ^^^^^
+
+    hint: a level is a column of what has several tests, such as the unit that is tested
+
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: `[crossed]` has no effect without `crossed` in `[data]`
+      --> wrong.toml:22:2 | [crossed.station.covariance]
+                          |  ^^^^^^^
+
+    hint: `crossed` there names the columns of factors that cross, as in `crossed = ["station"]`
+
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: unknown crossed factor `bench` in `[crossed]`
+      --> wrong.toml:22:10 | [crossed.bench.covariance]
+                           |          ^^^^^
+
+    hint: `crossed` of `[data]` names `station`
+
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: stations.csv, row 3, column `rate`: found group `1.557` in a row of test `0/0-0`, expected `1.551` as in its first row
+
+    hint: names that hold a `/` make two tests look like one: write them with another character
+
+    exit 2
+    ----- stdout
+    ----- stderr
+    error: stations.csv has no column `bench`, which is used in `crossed` of `[data]`
+      --> wrong.toml:8:12 | crossed = ["bench"]
+                          |            ^^^^^^^ this column is not in the data
+
+    hint: its columns are `serial`, `run`, `station`, `t`, `rate`, `y`
+    "#);
+}
+
+/// The order of rows of different tests changes no bit.
+#[test]
+fn the_order_of_tests_changes_no_bit() {
+    let folder = folder();
+    let data = std::fs::read_to_string(folder.path("stations.csv")).expect("it was copied");
+    let (head, rows) = data.split_once('\n').expect("a header");
+    let mut tests: Vec<(String, Vec<&str>)> = Vec::new();
+    for row in rows.lines() {
+        let id: String = row.split(',').nth(1).expect("a run").to_owned();
+        match tests.last_mut() {
+            Some((last, own)) if *last == id => own.push(row),
+            _ => tests.push((id, vec![row])),
+        }
+    }
+    tests.reverse();
+    let reversed: Vec<&str> = tests.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
+    std::fs::write(folder.path("reversed.csv"), format!("{head}\n{}\n", reversed.join("\n"))).expect("a file");
+    let (one, other) = (fit(&folder, "stations.toml stations.csv"), fit(&folder, "stations.toml reversed.csv"));
+    assert_eq!(one.log_likelihood.to_bits(), other.log_likelihood.to_bits());
+    assert_eq!(variances(&one), variances(&other));
+    assert_eq!(one.phases[0].mean.estimate, other.phases[0].mean.estimate);
+    let effects = |record: &FitRecord| {
+        let mut all: Vec<(String, Vec<f64>)> =
+            record.crossed[0].effects.iter().map(|one| (one.id.clone(), one.mean.clone())).collect();
+        all.sort_by(|a, b| a.0.cmp(&b.0));
+        all
+    };
+    assert_eq!(effects(&one), effects(&other));
+}
