@@ -258,7 +258,7 @@ pub enum DataError {
         found: String,
         /// That of the first row, shortened.
         expected: String,
-        /// The id is that of the groups and of the test together.
+        /// The group is a part of the test's id.
         joined: bool,
     },
     /// A row has no time.

@@ -223,7 +223,7 @@ impl BlockTaker<'_, '_> {
         }
         let group = |label: Label| shown(labels.text(label).as_bytes());
         let (found, expected) = (group(texts(row)[cell]), group(first[cell]));
-        let (test, joined) = (shown(self.gather.current().as_bytes()), !wanted.ids.is_empty());
+        let (test, joined) = (shown(self.gather.current().as_bytes()), wanted.ids.contains(&column));
         Some((row, DataError::TwoGroups { at, test, found, expected, joined }))
     }
 

@@ -56,6 +56,43 @@ fn the_gradient_equals_differences_of_the_maximum_over_mean_and_covariance() {
     check_gradient((&model, &tests, &slots), &[1.2, 0.6, 0.35, 0.5, 0.1]);
 }
 
+/// Tests of [`model`] in three groups, which stations of two levels and days of four cross.
+fn crossed(model: &PhasedModel) -> (PhasedModel, Vec<PhasedTest>) {
+    let (_, tests) = ensemble(model, 12, 5);
+    let mut model = model.clone();
+    let factor = |name: &str, column: usize, crossed: bool| kalfit_model::GroupLevel {
+        name: name.to_owned(),
+        column,
+        crossed,
+        covariance: kalfit_model::CovarianceStructure::full(),
+    };
+    model.levels = vec![factor("station", 2, true), factor("day", 3, true), factor("unit", 4, false)];
+    for name in ["station", "day", "unit"] {
+        let column = kalfit_model::Column { name: name.to_owned(), used_in: String::new() };
+        model.models_mut().for_each(|phase| phase.text_columns.push(column.clone()));
+    }
+    let grouped = |(j, test): (usize, &PhasedTest)| {
+        let kalfit_model::Evidence::Rows(rows) = &test.phases[0] else { unreachable!("rows") };
+        let mut own = kalfit_model::Test::new(test.id.clone(), 3, 5);
+        let groups = [j % 2, (j * 5 + j / 4) % 4, j % 3].map(kalfit_model::Label::literal);
+        for row in 0..rows.rows() {
+            let texts = [rows.texts(row), &groups].concat();
+            own.push(rows.numbers(row), &texts, rows.source(row));
+        }
+        PhasedTest::from(own)
+    };
+    let tests = tests.iter().enumerate().map(grouped).collect();
+    (model, tests)
+}
+
+#[test]
+fn the_gradient_equals_differences_where_groups_cross() {
+    let (model, tests) = crossed(&model(false));
+    let labels = kalfit_model::Labels::new(&model.shared().literals);
+    let slots = Slots::in_phases(&model, &labels, &tests);
+    check_gradient((&model, &tests, &slots), &[1.2, 0.6, 0.35, 0.5, 0.1]);
+}
+
 #[test]
 fn a_scale_of_all_noise_moves_without_the_filters() {
     let model = scaled_model();
