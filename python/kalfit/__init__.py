@@ -18,7 +18,7 @@ from kalfit._kalfit import DataError, Error, FitError, ModelError, version
 from kalfit._labelled import Labelled
 from kalfit._lmm import lmm
 from kalfit._model import Model, ModelLike
-from kalfit._population import Level, Phase
+from kalfit._population import Factor, Level, Phase
 from kalfit._progress import Step
 from kalfit._results import (
     Applied,
@@ -56,6 +56,7 @@ __all__ = [
     "GroupFit",
     "Interrupted",
     "Labelled",
+    "Factor",
     "Level",
     "Model",
     "ModelError",

@@ -145,13 +145,14 @@ class Fit(FitTables):
         covariance: Mapping[str, object] | None = None,
         parameters: Mapping[str, object] | None = None,
         levels: Mapping[str, object] | None = None,
+        crossed: Mapping[str, object] | None = None,
         **options: Any,
     ) -> Fit:
         """Fits again, with other data, options or constraints; what is not named stays as it was.
 
         - ``data``: other data.
         - ``formula``: another formula, for a fit by :func:`kalfit.lmm`.
-        - ``mean``, ``covariance``, ``parameters``, ``levels``: keys of these tables of the model file, which replace those of the
+        - ``mean``, ``covariance``, ``parameters``, ``levels``, ``crossed``: keys of these tables of the model file, which replace those of the
           model, as in a hypothesis; ``structure`` drops the other keys of its table.
         - ``options``: those of :func:`kalfit.fit`, ``set`` among them; and ``reml``, for a fit by :func:`kalfit.lmm`.
 
@@ -172,7 +173,7 @@ class Fit(FitTables):
         settings = {"set": made.set, **made.options, **options}
         if options.get("criterion") == "ml" and "df" not in options:
             settings["df"] = None
-        changes = {"mean": mean, "covariance": covariance, "parameters": parameters, "levels": levels}
+        changes = {"mean": mean, "covariance": covariance, "parameters": parameters, "levels": levels, "crossed": crossed}
         changes = {name: keys for name, keys in changes.items() if keys is not None}
         by_formula, model, rows = self.formula, made.model, made.data if data is None else data
         if by_formula is not None and (formula is not None or data is not None):

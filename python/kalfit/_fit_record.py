@@ -13,7 +13,7 @@ from typing import Any
 from kalfit import _kalfit
 from kalfit._estimates import Estimate, Parameters, estimate_of, parameter_of
 from kalfit._numbers import Array, MaskedArray, number
-from kalfit._population import Level, Phase
+from kalfit._population import Factor, Level, Phase
 from kalfit._test_fits import GroupFit, TestFit, group_fit_of, test_fit_of
 
 __all__ = ["FitRecord"]
@@ -47,15 +47,24 @@ class FitRecord:
 
     @cached_property
     def levels(self) -> tuple[Level, ...]:
-        """The covariance of each level of groups, the outermost first, and last that between tests; empty without levels."""
+        """The covariance of each level of groups, the outermost first, and last that between tests; empty without groups."""
         return tuple(Level(level) for level in self._record.get("levels", []))
 
+    @cached_property
+    def crossed(self) -> tuple[Factor, ...]:
+        """The covariance of each crossed factor, with the effects of its levels; empty without such factors."""
+        return tuple(Factor(factor) for factor in self._record.get("crossed", []))
+
     def level(self, name: str) -> Level:
-        """The level of this ``name``; ``tests`` is that of the tests themselves. Raises ``KeyError`` if there is none."""
-        for level in self.levels:
+        """The level or crossed factor of this ``name``; ``tests`` is the level of the tests themselves.
+
+        Raises ``KeyError`` if there is none.
+        """
+        levels = [*self.levels, *self.crossed]
+        for level in levels:
             if level.name == name:
                 return level
-        names = ", ".join(level.name for level in self.levels) or "none"
+        names = ", ".join(level.name for level in levels) or "none"
         raise KeyError(f"there is no level {name!r}, there are {names}")
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The grouping factors of a formula become levels of groups and tests: outer ones around inner ones, as the data nest them."""
+"""The grouping factors of a formula become levels of groups and tests, outer ones around inner ones, and crossed factors, as the data are."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 from kalfit._formula_text import Factor, FormulaText
 from kalfit._kalfit import DataError, ModelError
 
-__all__ = ["Grouping", "group_labels", "nest"]
+__all__ = ["Grouping", "Nesting", "group_labels", "nest"]
 
 
 @dataclass(frozen=True)
 class Grouping:
-    """One grouping factor: a level of the model, or its tests."""
+    """One grouping factor: a level of the model, its tests, or a crossed factor."""
 
     factor: Factor
     #: The column that tells its groups apart within the groups around them; it is made where no column of the data does.
@@ -25,6 +25,23 @@ class Grouping:
     def name(self) -> str:
         """Its name in lme4."""
         return ":".join(self.factor)
+
+
+@dataclass(frozen=True)
+class Nesting:
+    """How the grouping factors of a formula stand to each other."""
+
+    #: Factors around each other, the outermost first, without that of the tests.
+    levels: list[Grouping]
+    #: The factor whose groups are the tests; None where each row is a test.
+    tests: Grouping | None
+    #: Factors that cross others.
+    crossed: list[Grouping]
+
+    @property
+    def all(self) -> list[Grouping]:
+        """All factors."""
+        return [*self.levels, *([] if self.tests is None else [self.tests]), *self.crossed]
 
 
 def group_labels(frame: Any, factor: Factor) -> list[str]:
@@ -45,8 +62,8 @@ def _text(value: Any) -> str:
     return str(value)
 
 
-def nest(formula: FormulaText, frame: Any) -> list[Grouping]:
-    """The grouping factors of a formula, the outermost first."""
+def nest(formula: FormulaText, frame: Any) -> Nesting:
+    """The grouping factors of a formula as the data nest or cross them."""
     factors: list[Factor] = []
     for term in formula.random:
         for factor in term.factors:
@@ -54,24 +71,35 @@ def nest(formula: FormulaText, frame: Any) -> list[Grouping]:
                 factors.append(factor)
     labels = {factor: _numbered(group_labels(frame, factor)) for factor in factors}
     counts = {factor: len(set(numbers)) for factor, numbers in labels.items()}
-    for at, one in enumerate(factors):
+    for one in factors:
         if counts[one] < 2:
             raise ModelError(
                 f"formula `{formula.text}`: `{':'.join(one)}` has {counts[one]} group in the data, expected two or more\n\n"
                 "hint: a spread over groups cannot be estimated from one of them; leave its term out"
             )
-        for other in factors[at + 1 :]:
-            _check_nested(formula, frame, one, other)
+
+    def is_within(one: Factor, other: Factor) -> bool:
+        return _each_meets_one(labels[one], labels[other])
+
     # a factor within another has at least as many groups; of two that name the same groups the first of the formula stands outside
     ordered = sorted(factors, key=lambda factor: counts[factor])
+    chain: list[Factor] = []
+    for factor in reversed(ordered):  # from the finest on
+        if all(is_within(inner, factor) for inner in chain):
+            chain.insert(0, factor)
+    crossing = [factor for factor in factors if factor not in chain]
     found: list[Grouping] = []
     around: set[str] = set()
-    for factor in ordered:
+    for factor in chain:
         own = [column for column in factor if column not in around]
         column = own[0] if len(own) == 1 else ":".join(factor)
         found.append(Grouping(factor, column, counts[factor]))
         around |= {*factor}
-    return found
+    crossed = [Grouping(factor, ":".join(factor), counts[factor]) for factor in crossing]
+    # what a test meets is the same in all of its rows
+    if all(is_within(chain[-1], factor) for factor in crossing):
+        return Nesting(found[:-1], found[-1], crossed)
+    return Nesting(found, None, crossed)
 
 
 def _numbered(labels: list[str]) -> list[int]:
@@ -80,25 +108,7 @@ def _numbered(labels: list[str]) -> list[int]:
     return [numbers.setdefault(label, len(numbers)) for label in labels]
 
 
-def _check_nested(formula: FormulaText, frame: Any, one: Factor, other: Factor) -> None:
-    """Refuses two factors of which neither stands within the other, and shows groups that cross."""
-    ones, others = group_labels(frame, one), group_labels(frame, other)
-    within, around = _several(ones, others), _several(others, ones)
-    if within is None or around is None:
-        return
-    a, b = ":".join(one), ":".join(other)
-    (group, found), (other_group, other_found) = within, around
-    raise ModelError(
-        f"formula `{formula.text}`: `{a}` and `{b}` cross: `{a}` {group!r} is found with `{b}` {found[0]!r} and {found[1]!r}, "
-        f"and `{b}` {other_group!r} with `{a}` {other_found[0]!r} and {other_found[1]!r}; crossed effects are not possible yet\n\n"
-        f"hint: if a `{b}` belongs to one `{a}` and its name is used again in others, write (… | {a} / {b})"
-    )
-
-
-def _several(labels: list[str], others: list[str]) -> tuple[str, tuple[str, str]] | None:
-    """A label that stands beside two different others, with both; None where each stands beside one."""
-    first: dict[str, str] = {}
-    for label, other in zip(labels, others, strict=True):
-        if first.setdefault(label, other) != other:
-            return label, (first[label], other)
-    return None
+def _each_meets_one(labels: list[int], others: list[int]) -> bool:
+    """Whether each group of the first factor is in one group of the other."""
+    first: dict[int, int] = {}
+    return all(first.setdefault(label, other) == other for label, other in zip(labels, others, strict=True))

@@ -10,7 +10,7 @@ import numpy as np
 from kalfit._data import Data
 from kalfit._formula_columns import Matrix, expression_of, identifier, variables
 from kalfit._formula_data import complete_rows, frame_of, plain_column
-from kalfit._formula_groups import Grouping, group_labels, nest
+from kalfit._formula_groups import Grouping, Nesting, group_labels, nest
 from kalfit._formula_text import FormulaText
 from kalfit._formula_words import Parts
 from kalfit._kalfit import DataError, ModelError
@@ -50,20 +50,21 @@ class Maker:
         response, measured = self._response()
         offsets = [(label, self._matrix(f"0 + {label}")) for label in text.offsets]
         self._drop_unknown([measured, *[c for m in self._matrices for c in m.columns.values()]])
-        groupings = nest(text, self.frame)
-        self._check_residual(groupings[-1], variances)
+        nesting = nest(text, self.frame)
+        if nesting.tests is not None:
+            self._check_residual(nesting.tests, variances)
         self.columns: list[tuple[str, Array]] = []
         states = self._fixed_states(self._full_rank(fixed.columns))
         zero_means: list[str] = []
-        blocks = self._blocks(groupings, random, states, zero_means)
-        for grouping_ in groupings:
+        blocks = self._blocks(nesting, random, states, zero_means)
+        for grouping_ in nesting.all:
             self._join(grouping_)
         noise, sigma = self._noise(weights, variances)
         self.parts = Parts(
             formula=text.text,
             response=response,
             measurement=identifier(text.response, set()),
-            groupings=groupings,
+            nesting=nesting,
             states=states,
             words=self._words(states, zero_means, blocks),
             zero_means=zero_means,
@@ -183,15 +184,15 @@ class Maker:
 
     def _blocks(
         self,
-        groupings: list[Grouping],
+        nesting: Nesting,
         random: list[tuple[str, frozenset[str], dict[str, Array]]],
         states: dict[str, str],
         zero_means: list[str],
     ) -> dict[str, list[list[str]]]:
         """The states of each block of correlated coefficients, by the name of the grouping factor."""
-        found: dict[str, list[list[str]]] = {grouping.name: [] for grouping in groupings}
+        found: dict[str, list[list[str]]] = {grouping.name: [] for grouping in nesting.all}
         for term, factor, columns in random:
-            name = next(grouping.name for grouping in groupings if frozenset(grouping.factor) == factor)
+            name = next(grouping.name for grouping in nesting.all if frozenset(grouping.factor) == factor)
             block: list[str] = []
             for label, values in columns.items():
                 if not values.any():

@@ -1,4 +1,4 @@
-"""Models from formulas in lme4's words: random terms become states, grouping factors levels and tests."""
+"""Models from formulas in lme4's words: random terms become states, grouping factors levels, crossed factors and tests."""
 
 from __future__ import annotations
 
@@ -40,8 +40,13 @@ class FormulaModel:
         self.terms: dict[str, str] = dict(maker.terms)
         #: Names of the states with an estimated mean: the fixed effects.
         self.fixed: list[str] = [state for state in maker.terms if state not in maker.parts.zero_means]
-        #: The grouping factor of each level, the outermost first; the innermost one is that of ``tests``: ``{"tests": "Subject"}``.
-        self.groups: dict[str, str] = {g.column: g.name for g in maker.parts.groupings[:-1]} | {"tests": maker.parts.groupings[-1].name}
+        nesting = maker.parts.nesting
+        #: The grouping factor of each level, the outermost first, that of ``tests``, unless each row is one, and those that cross:
+        #: ``{"tests": "Subject"}``.
+        self.groups: dict[str, str] = {g.column: g.name for g in nesting.levels}
+        if nesting.tests is not None:
+            self.groups["tests"] = nesting.tests.name
+        self.groups |= {g.column: g.name for g in nesting.crossed}
         #: Columns that were made for the model, and the term of the formula that each is.
         self.made: dict[str, str] = dict(maker.made)
         #: Which rows and fixed effects were left out, in plain words.
@@ -96,7 +101,7 @@ def model_from_formula(
     - ``formula``: such as ``"y ~ x * kind + (1 + x | unit / run)"``. Fixed effects are read by the package formulaic: factors with
       treatment contrasts as in R, interactions, ``log(x)``, ``I(x^2)``, ``poly(x, 2)``, ``bs(x, df=4)``, ``scale(x)``,
       ``center(x)``, and functions of ``context``. Random terms may be correlated, ``(1 + x | g)``, or not, ``(1 + x || g)``; groups
-      may be nested, ``a / b`` or ``a:b``, and must not cross. ``offset(o)`` adds a column as it is.
+      may be nested, ``a / b`` or ``a:b``, or cross, ``(1 | a) + (1 | b)``. ``offset(o)`` adds a column as it is.
     - ``data``: a table, a path or a pattern of paths, a dictionary of columns, or a list of these.
     - ``weights``: name of a column w, by which the noise has the variance ``sigma^2 / w``.
     - ``variances``: name of a column with the known variance of the noise of each row, as in a meta-analysis; then no ``sigma`` is
@@ -105,7 +110,7 @@ def model_from_formula(
 
     Returns a :class:`kalfit.FormulaModel`. Rows with missing values are left out, as R's ``na.omit`` does, and fixed effects whose
     columns depend on others; a :class:`kalfit.FormulaWarning` says which. Raises :class:`kalfit.ModelError` for a formula that cannot
-    be read or has crossed groups, :class:`kalfit.DataError` for wrong data, and ``ImportError`` without formulaic and pandas.
+    be read, :class:`kalfit.DataError` for wrong data, and ``ImportError`` without formulaic and pandas.
 
     >>> import kalfit
     >>> data = "examples/random-coefficients/sleepstudy.csv"

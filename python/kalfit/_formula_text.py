@@ -99,7 +99,7 @@ def _factors(group: str, term: str, whole: str) -> tuple[Factor, ...]:
     """The grouping factors of a random term: ``a``, ``a / b``, ``a:b``."""
     for operator in "*+-":
         if len(_split(group, operator)) > 1:
-            hint = "(1 | a / b) for b within a, (1 | a:b) for their combinations; of crossed effects kalfit has none yet"
+            hint = "(1 | a / b) for b within a, (1 | a:b) for their combinations, (1 | a) + (1 | b) for groups that cross"
             raise _wrong(whole, f"the group of `{term}` has `{operator}`", hint)
     found: list[Factor] = []
     for part in _split(group, "/"):

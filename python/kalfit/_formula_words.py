@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from kalfit._formula_groups import Grouping
+from kalfit._formula_groups import Nesting
 from kalfit._toml import quoted
 
 __all__ = ["Parts", "model_file"]
@@ -18,8 +18,8 @@ class Parts:
     #: The column that is measured, and the name of the measurement.
     response: str
     measurement: str
-    #: The outermost level first, the tests last.
-    groupings: list[Grouping]
+    #: Levels, tests and crossed factors.
+    nesting: Nesting
     #: The name of each state, and the expression that it is multiplied with.
     states: dict[str, str]
     #: Words on each state.
@@ -42,10 +42,11 @@ class Parts:
 
 def model_file(parts: Parts) -> str:
     """The text of the model file."""
-    levels, tests = parts.groupings[:-1], parts.groupings[-1]
-    lines = [f"title = {quoted(parts.formula)}", "", "[data]", f"test = {quoted(tests.column)}"]
-    if levels:
-        lines.append(f"levels = [{', '.join(quoted(level.column) for level in levels)}]")
+    levels, tests, crossed = parts.nesting.levels, parts.nesting.tests, parts.nesting.crossed
+    lines = [f"title = {quoted(parts.formula)}", "", "[data]", f"test = {quoted('@row' if tests is None else tests.column)}"]
+    for key, groupings in (("levels", levels), ("crossed", crossed)):
+        if groupings:
+            lines.append(f"{key} = [{', '.join(quoted(grouping.column) for grouping in groupings)}]")
     varying = parts.varying()
     lines += ["", "[states]"]
     tables = {state: f"{state} = {'{}' if state in varying else '{ random = false }'}" for state in parts.states}
@@ -64,9 +65,11 @@ def model_file(parts: Parts) -> str:
         lines += ["", "[parameters]", "sigma = {}"]
     if parts.zero_means:
         lines += ["", "[mean]", f"fixed = {{ {', '.join(f'{state} = 0' for state in parts.zero_means)} }}"]
-    lines += _covariance("[covariance]", parts.blocks[tests.name], varying, bool(levels))
-    for level in levels:
-        lines += _covariance(f"[levels.{quoted(level.column)}.covariance]", parts.blocks[level.name], varying, True)
+    of_tests = [] if tests is None else parts.blocks[tests.name]
+    lines += _covariance("[covariance]", of_tests, varying, bool(levels or crossed))
+    for key, groupings in (("levels", levels), ("crossed", crossed)):
+        for grouping in groupings:
+            lines += _covariance(f"[{key}.{quoted(grouping.column)}.covariance]", parts.blocks[grouping.name], varying, True)
     return "\n".join(lines) + "\n"
 
 

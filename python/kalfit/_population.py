@@ -1,4 +1,4 @@
-"""What is estimated of the population: the initial state of each phase, and what varies at each level of groups."""
+"""What is estimated of the population: the initial state of each phase, what varies at each level of groups, and crossed factors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from kalfit._numbers import Array, MaskedArray, array, ends, masked_array, square
 
-__all__ = ["Level", "Phase"]
+__all__ = ["Factor", "Level", "Phase"]
 
 
 class _Spread:
@@ -146,6 +146,32 @@ class Level(_Spread):
 
     def __repr__(self) -> str:
         return f"<kalfit.Level {self.name!r}: {self.groups} groups, {', '.join(self.states)}>"
+
+
+class Factor(Level):
+    """The estimated covariance of the effects of a crossed factor, with the effect of each of its levels.
+
+    It is a :class:`kalfit.Level` whose :attr:`groups` counts the levels; what is said there of arrays holds here. Effects are
+    posterior means, given all tests, at the estimates; the arrays are empty where the fit has no results of tests.
+    """
+
+    def __init__(self, record: dict[str, Any]) -> None:
+        super().__init__(record)
+        effects = record.get("effects", [])
+        p = len(self.states)
+        #: Name of each level.
+        self.names: list[str] = [effect["id"] for effect in effects]
+        #: Number of tests that meet each level.
+        self.tests: list[int] = [effect["tests"] for effect in effects]
+        #: Effect of each level on each state, shape (levels, p).
+        self.effects: Array = array([effect["mean"] for effect in effects]).reshape(len(effects), p)
+        #: Posterior standard deviation of each effect, shape (levels, p).
+        self.effects_std_dev: Array = array([effect["std_dev"] for effect in effects]).reshape(len(effects), p)
+        #: Posterior covariance of the effects of each level, shape (levels, p, p).
+        self.effects_covariance: Array = array([effect["covariance"] for effect in effects]).reshape(len(effects), p, p)
+
+    def __repr__(self) -> str:
+        return f"<kalfit.Factor {self.name!r}: {self.groups} levels, {', '.join(self.states)}>"
 
 
 def _why_unknown(

@@ -293,16 +293,28 @@ def test_groups_are_nested_as_the_data_nest_them():
     assert joined.model.test == "unit:run" and joined.data["unit:run"][0] == "u0:0"
 
 
-def test_crossed_factors_are_refused_and_shown():
+def test_factors_that_cross_become_crossed_factors():
     rows = ensemble()
-    with pytest.raises(kalfit.ModelError) as refused:
-        kalfit.lmm("y ~ x + (1 | unit) + (1 | kind)", rows)
-    words = str(refused.value)
-    assert "`unit` and `kind` cross" in words and "crossed effects are not possible yet" in words
-    pairs = {(unit, kind) for unit, kind in zip(rows["unit"], rows["kind"])}
-    assert ("u0", rows["kind"][0]) in pairs and "'u0'" in words and repr(rows["kind"][0]) in words, "groups that show it"
-    with pytest.raises(kalfit.ModelError, match=r"write \(… \| batch / cask\)"):
-        kalfit.lmm("strength ~ (1 | batch) + (1 | cask)", PASTES)
+    made = kalfit.model_from_formula("y ~ x + (1 | unit) + (1 | kind)", rows)
+    assert made.groups == {"unit": "unit", "kind": "kind"} and 'test = "@row"' in str(made)
+    assert '[covariance]\nstates = []' in str(made), "rows of one unit and kind differ by their noise alone"
+    # runs stand within units, and each run is made at one station
+    benches = rows.assign(bench=[f"b{(int(unit[1:]) + 2 * run) % 3}" for unit, run in zip(rows["unit"], rows["run"], strict=True)])
+    made = kalfit.model_from_formula("y ~ x + (1 | unit / run) + (1 | bench)", benches)
+    assert made.model.test == "run" and made.model.levels == ["unit"] and 'crossed = ["bench"]' in str(made)
+
+
+def test_plates_and_samples_are_those_of_lme4():
+    rows = "crates/kalfit-cli/tests/data/crossed/penicillin.csv"
+    fit = kalfit.lmm("diameter ~ 1 + (1 | plate) + (1 | sample)", rows, progress=False)
+    # lme4: REML criterion 330.8606
+    assert fit.converged and fit.log_likelihood == pytest.approx(-330.8606 / 2, abs=5e-5)
+    assert fit.level("sample").std_dev[0] == pytest.approx(1.9316, abs=1e-3)
+    assert fit.level("plate").std_dev[0] == pytest.approx(0.8467, abs=1e-3)
+    (factor,) = fit.crossed
+    assert factor.names == ["A", "B", "C", "D", "E", "F"] and factor.effects.shape == (6, 1)
+    assert factor.effects_covariance.shape == (6, 1, 1) and "6 levels" in repr(factor)
+    assert {"plate", "sample", "Residual"} <= {*fit.tidy("broom").to_polars()["group"]}
 
 
 @pytest.mark.parametrize(

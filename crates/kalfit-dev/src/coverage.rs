@@ -4,6 +4,7 @@
 //! Intervals of means and regression coefficients are taken on their own scale, those of standard deviations on that of their
 //! logarithm, those of correlations on that of atanh.
 
+mod crossed;
 mod drawn;
 mod few_tests;
 mod levels;
@@ -155,6 +156,7 @@ pub(crate) fn run(ensembles: u64, only: &str) -> ExitCode {
     let sound = without_levels(ensembles, only);
     few_tests::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     levels::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
+    crossed::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     predictions::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     verdicts::run(ensembles.div_ceil(SHARE_OF_LEVELS), only);
     if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE }

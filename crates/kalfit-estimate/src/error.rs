@@ -31,6 +31,16 @@ pub enum FitError {
         /// The id of the test.
         test: String,
     },
+    /// The levels of crossed factors are too many for one system.
+    #[error(
+        "the effects of the crossed factors are {found} unknowns of one system (levels × states), expected at most {most}"
+    )]
+    ManyLevels {
+        /// Levels × states of the largest system.
+        found: usize,
+        /// The largest system that is solved.
+        most: usize,
+    },
     /// A test is not stored phase by phase, although each phase is to be fitted separately.
     #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
     NoPhases {

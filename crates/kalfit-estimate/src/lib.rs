@@ -199,5 +199,13 @@ fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settin
     {
         return Err(FitError::ExactInGroups { test: exact.test.to_owned() });
     }
-    Ok(Problem::new(reductions, structure, (settings.criterion, settings.phases))?)
+    let problem = Problem::new(reductions, structure, (settings.criterion, settings.phases))?;
+    match problem.classes.units.as_ref().map_or(0, |units| units.largest_system()) {
+        found if found > MOST_EFFECTS => Err(FitError::ManyLevels { found, most: MOST_EFFECTS }),
+        _ => Ok(problem),
+    }
 }
+
+/// Most levels of crossed factors times states of one dense system: its matrices then have 200 MB each, and a pass takes
+/// minutes.
+const MOST_EFFECTS: usize = 5000;

@@ -31,7 +31,7 @@ impl SumsWanted<'_> {
     /// Zero sums for tests in groups, whose second derivatives are in separate matrices.
     pub(super) fn zero_in_groups(self) -> Sums {
         let mut zero = SumsWanted { order: self.order.min(Order::Mean), ..self }.zero();
-        let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
+        let second = if self.order >= Order::Average { self.elements.count() } else { 0 };
         let of = |rows: usize| DMatrix::zeros(if second > 0 { rows } else { 0 }, second);
         let coordinates = zero.mean_score.len();
         zero.group_derivatives =

@@ -37,6 +37,8 @@ pub struct Problem {
     passes: AtomicUsize,
     /// Whether the search is near its end, so that the next point evaluated may be the last.
     near_end: AtomicBool,
+    /// Whether the search is far from its end, and takes the average information where the exact one costs much more.
+    far: AtomicBool,
     /// The last point evaluated near the end of the search, with its sums.
     last: Mutex<Option<(Point, Sums)>>,
 }
@@ -81,6 +83,7 @@ impl Problem {
             restriction,
             passes: AtomicUsize::new(0),
             near_end: AtomicBool::new(false),
+            far: AtomicBool::new(false),
             last: Mutex::new(None),
         })
     }
@@ -162,6 +165,19 @@ impl Problem {
     /// then computes it with the other sums.
     pub(crate) fn set_near_end(&self, soon: bool) {
         self.near_end.store(soon && self.restriction.is_none(), Ordering::Relaxed);
+    }
+
+    /// Sets whether the search is far from its end: the average information, which costs a fraction of the exact one
+    /// where groups cross, is then enough. Nothing changes for other problems.
+    pub(crate) fn set_far(&self, far: bool) {
+        let crossed = self.classes.units.as_ref().is_some_and(|units| units.is_crossed());
+        let here = self.classes.remote.is_none() && self.restriction.is_none();
+        self.far.store(far && crossed && here, Ordering::Relaxed);
+    }
+
+    /// Whether points are evaluated with the average information.
+    pub(crate) fn is_far(&self) -> bool {
+        self.far.load(Ordering::Relaxed)
     }
 
     /// The sums at the iterate where the search ends: one pass, unless the search has computed them already.
@@ -258,6 +274,9 @@ pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 
 impl Objective for Problem {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        if self.is_far() {
+            return Some(Local::of(&mut self.sums(point, Order::Average, near)?));
+        }
         let near_end = self.near_end.load(Ordering::Relaxed);
         // a request to remote tests costs one round, however large the answer
         if !near_end && (self.classes.remote.is_none() || self.restriction.is_some()) {

@@ -79,10 +79,11 @@ impl<'a> Search<'a> {
             Beginning::Near(values) => start::near(&self.problem, values)?,
             Beginning::At(point) => point,
         };
+        self.problem.set_far(self.settings.solver == Solver::Newton);
         let (iterate, stop) = match self.settings.solver {
             Solver::Newton => {
                 let start_root = start.root.clone();
-                let first = match is_near {
+                let first = match is_near || self.problem.is_far() {
                     true => self.iterate(start, None)?,
                     false => match self.pilot_start(&start, structure)? {
                         Some(iterate) => iterate,
@@ -90,6 +91,7 @@ impl<'a> Search<'a> {
                     },
                 };
                 let (iterate, stop) = self.newton(first)?;
+                let iterate = self.exact(iterate)?;
                 (self.restored(iterate, &start_root)?, stop)
             }
             Solver::Em => self.em(start)?,
@@ -130,6 +132,9 @@ impl<'a> Search<'a> {
         let mut tried_at_zero = false;
         let tests = self.problem.classes.tests as f64;
         loop {
+            if iterate.decrement() < LAST_STEP_DECREMENT {
+                iterate = self.exact(iterate)?;
+            }
             if iterate.decrement() <= self.settings.tolerance {
                 let (objective, map) = (&self.problem, &self.problem.covariance);
                 match step_off_boundary(objective, map, tests, &mut iterate)
@@ -167,6 +172,10 @@ impl<'a> Search<'a> {
                 }
                 Attempt::BelowRounding if iterate.decrement() <= ROUNDING_TOLERANCES * self.settings.tolerance => {
                     return Ok((iterate, Stop::Certified));
+                }
+                Attempt::Failed | Attempt::BelowRounding if self.problem.is_far() => {
+                    iterate = self.exact(iterate)?;
+                    continue;
                 }
                 Attempt::Failed | Attempt::BelowRounding => {
                     failures += 1;
@@ -287,6 +296,16 @@ impl<'a> Search<'a> {
             point = em::step(&self.problem, &point, &sums, &mut turn);
             steps += 1;
         }
+    }
+
+    /// The iterate with exact second derivatives, from now on.
+    fn exact(&mut self, iterate: NewtonIterate) -> Result<NewtonIterate, FitError> {
+        if !self.problem.is_far() {
+            return Ok(iterate);
+        }
+        self.problem.set_far(false);
+        self.problem.set_near_end(iterate.decrement() < LAST_STEP_DECREMENT);
+        self.recomputed(iterate)
     }
 
     /// The iterate with derivatives by the covariance of the mean at its own point.

@@ -711,6 +711,10 @@ fn fit_hint(error: &FitError) -> Option<&'static str> {
         FitError::NoPhases { .. } | FitError::RestrictedMarginal => Some("use `--phases chain`"),
         FitError::Ungrouped { .. } => Some("give the rows of the test, which name its groups"),
         FitError::ExactInGroups { .. } => Some("give the measurement some noise"),
+        FitError::ManyLevels { .. } => Some(
+            "without `levels` the largest factor is eliminated first; else leave out the factor with most levels, or fit parts of the \
+             data that share no level",
+        ),
         FitError::Unbounded { .. } => {
             Some("give the measurement some noise, or use more tests or a simpler covariance, such as a diagonal one")
         }

@@ -12,7 +12,13 @@ use support::*;
 
 /// Runs of serials of lots.
 fn layout(test: TestKey) -> Layout {
-    Layout { test, levels: vec!["lot".into(), "serial".into()], missing: Vec::new(), comment: None }
+    Layout {
+        test,
+        levels: vec!["lot".into(), "serial".into()],
+        crossed: Vec::new(),
+        missing: Vec::new(),
+        comment: None,
+    }
 }
 
 fn by_run() -> Layout {

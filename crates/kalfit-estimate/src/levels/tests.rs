@@ -467,6 +467,57 @@ fn both_solvers_come_to_a_certified_maximum() {
     }
 }
 
+/// The ensemble with some tests measured so many times as precisely.
+fn precise(ensemble: Ensemble, times: f64) -> Ensemble {
+    let scaled = |(j, r): (usize, kalfit_filter::reduce::ReductionRef<'_>)| {
+        let by = if j.is_multiple_of(5) { times } else { 1.0 };
+        let own: Reduction = r.into();
+        Reduction {
+            // the noise of [`ensemble`] stays what it was
+            data: own.data.iter().enumerate().map(|(i, x)| x * by - (by - 1.0) * 0.4 * wave(j * 91 + i)).collect(),
+            factor: own.factor.iter().map(|x| x * by).collect(),
+            design: own.design + if by > 1.0 { 1 << 60 } else { 0 },
+            ..own
+        }
+    };
+    let reductions = ensemble.reductions.iter().enumerate().map(scaled).collect();
+    Ensemble { reductions, ..ensemble }
+}
+
+#[test]
+fn values_and_scores_are_right_where_some_tests_are_precise() {
+    for times in [1e2, 1e3] {
+        let ensemble = precise(crossed(2, &[14], (1, false), &[4, 3], false), times);
+        let problem = ensemble.problem(Criterion::Ml);
+        let (mean, coefficients, mut sigmas) = somewhere(&ensemble, 3);
+        // the tests' own covariance has rank one
+        let root = DMatrix::from_column_slice(2, 1, &[0.5, 0.2]);
+        sigmas[0] = &root * root.transpose();
+        let dense = ensemble.dense((&mean, &coefficients), &sigmas);
+        let here = point(&problem, &(mean, coefficients, sigmas));
+        let sums = problem.likelihood(&here, Order::First);
+        near::mixed("value", sums.value, dense, 1e-9);
+        let elements = sums.elements.clone();
+        let (score, sigma) = (elements.pack_score(&sums.score()), here.covariance());
+        let at = |e: usize, by: f64| {
+            let (i, k) = elements.at(e).expect("an element");
+            let mut sigma = sigma.clone();
+            sigma[(i, k)] += by;
+            sigma[(k, i)] = sigma[(i, k)];
+            let mut moved = here.clone();
+            let own = sigma.view((2, 2), (2, 2)).into_owned();
+            moved.root.view_mut((2, 2), (2, 2)).copy_from(&kalfit_algebra::symmetric::square_root(&own));
+            problem.likelihood(&moved, Order::First).value
+        };
+        for e in 3..6 {
+            let (i, k) = elements.at(e).expect("an element");
+            let h = 1e-3 * (sigma[(i, i)] * sigma[(k, k)]).sqrt();
+            let slope = (8.0 * (at(e, h) - at(e, -h)) - (at(e, 2.0 * h) - at(e, -2.0 * h))) / (12.0 * h);
+            assert!((score[e] - slope).abs() < 1e-5 * slope.abs(), "{times}, element {e}: {} {slope}", score[e]);
+        }
+    }
+}
+
 #[test]
 fn a_factor_that_contains_all_units_says_what_a_level_says() {
     let nested = ensemble(2, &[3, 2, 3], (2, true));

@@ -54,7 +54,7 @@ impl<T: Lanes> UnitSums<T> {
     pub(super) fn zero(selection: SumSelection<'_>) -> UnitSums<T> {
         let SumSelection { states: p, levels, coordinates, .. } = selection;
         let elements = levels * pairs(p);
-        let second = if selection.order >= Order::Second { elements } else { 0 };
+        let second = if selection.order >= Order::Average { elements } else { 0 };
         let free = selection.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
         let mut totals = UnitSums {
             value: T::splat(0.0),

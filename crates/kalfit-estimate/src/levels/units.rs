@@ -118,6 +118,11 @@ impl Units {
         self.crossing.is_some()
     }
 
+    /// Levels of crossed factors times states of the largest dense system; zero where no groups cross.
+    pub(crate) fn largest_system(&self) -> usize {
+        self.crossing.as_ref().map_or(0, |crossing| crossing.largest() * self.states)
+    }
+
     /// Number of units.
     pub(crate) fn len(&self) -> usize {
         self.designs.iter().map(|design| design.units.len()).sum()

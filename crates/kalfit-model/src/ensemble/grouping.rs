@@ -92,36 +92,6 @@ impl Grouping {
         self.nested < self.depth()
     }
 
-    /// For each nested group of the outermost level, or each test where there is no nested level, the number of the part
-    /// of the ensemble that it belongs to: groups of different parts have no group in common. Without crossed factors
-    /// each group is a part.
-    pub fn parts(&self) -> Vec<usize> {
-        let unit_of = |test: usize| self.nested.checked_sub(1).map_or(test, |outermost| self.of_test[outermost][test]);
-        let units = self.nested.checked_sub(1).map_or(self.tests(), |outermost| self.groups[outermost].len());
-        let mut parts: Vec<usize> = (0..units).collect();
-        fn root(parts: &mut [usize], mut at: usize) -> usize {
-            while parts[at] != at {
-                parts[at] = parts[parts[at]];
-                at = parts[at];
-            }
-            at
-        }
-        for level in self.nested..self.depth() {
-            let mut first = vec![None; self.groups[level].len()];
-            for test in 0..self.tests() {
-                let unit = unit_of(test);
-                match first[self.of_test[level][test]] {
-                    None => first[self.of_test[level][test]] = Some(unit),
-                    Some(other) => {
-                        let (a, b) = (root(&mut parts, unit), root(&mut parts, other));
-                        parts[a.max(b)] = a.min(b);
-                    }
-                }
-            }
-        }
-        (0..units).map(|unit| root(&mut parts, unit)).collect()
-    }
-
     /// Number of tests.
     pub fn tests(&self) -> usize {
         self.numbers.len()
@@ -159,19 +129,19 @@ mod tests {
         assert_eq!(grouping.groups(0)[2], Group { path: path([0, 3]), parent: Some(0), tests: 1 });
         assert_eq!(grouping.groups(1)[1], Group { path: vec![Label::literal(2)], parent: None, tests: 1 });
         assert_eq!((grouping.number("c"), grouping.number("e")), (Some(2), None));
-        assert_eq!((grouping.nested(), grouping.is_crossed(), grouping.parts()), (2, false, vec![0, 1]));
+        assert_eq!((grouping.nested(), grouping.is_crossed()), (2, false));
     }
 
     #[test]
-    fn units_that_meet_one_station_are_one_part() {
-        // (station, unit): units 0 and 1 share station 7, unit 2 is alone at station 8
+    fn factors_follow_the_nested_levels() {
+        // (station, unit)
         let path = |names: [usize; 2]| names.map(Label::literal).to_vec();
         let tests = [("a", [7, 0]), ("b", [6, 0]), ("c", [8, 2]), ("d", [7, 1])];
         let grouping = Grouping::crossed((1, 1), tests.map(|(id, names)| (id, path(names))));
         assert_eq!((grouping.depth(), grouping.nested(), grouping.is_crossed()), (2, 1, true));
         assert_eq!((grouping.groups(0).len(), grouping.groups(1).len()), (3, 3));
         let stations: Vec<usize> = (0..4).map(|test| grouping.group_of(test, 1)).collect();
-        assert_eq!((stations, grouping.parts()), (vec![0, 1, 2, 0], vec![0, 1, 0]));
+        assert_eq!(stations, [0, 1, 2, 0]);
         assert_eq!(grouping.groups(1)[0], Group { path: vec![Label::literal(7)], parent: None, tests: 2 });
     }
 }

@@ -70,6 +70,9 @@ pub enum Detail {
     First,
     /// In addition, all of the information on the mean.
     Mean,
+    /// In addition, for groups that cross, the average of observed and expected information, in place of both: enough
+    /// to climb by.
+    Average,
     /// In addition, the observed information.
     Second,
     /// In addition, the expected information of Σ.

@@ -30,10 +30,17 @@ pub(super) struct EliminatedGroup {
     pub(super) HD: Rows,
     /// T'D.
     pub(super) up: Rows,
+    /// D.
+    D: Rows,
+    /// U, upper triangular, with U'U = I + F'JF.
+    upper: Rows,
+    /// U⁻ᵀF'.
+    half: Rows,
 }
 
 impl EliminatedUnit {
-    /// Integrates out the tests, whose designs are `leaves`, and the groups of a unit.
+    /// Integrates out the tests, whose designs are `leaves`, and the groups of a unit. What a test says of the levels, E,
+    /// goes through the same rotations as its R; the rows that remain give K without a difference of large numbers.
     pub(super) fn new(
         unit: &Unit,
         crossing: &Crossing,
@@ -47,30 +54,22 @@ impl EliminatedUnit {
         for test in &unit.tests {
             let leaf = &leaves[test.leaf];
             log_det += leaf.log_det;
-            let members = &mut gathered[test.group];
-            members.take(&leaf.half);
-            for &member in &test.members {
-                add_columns(&mut members.D, &leaf.W, member);
-                for &other in &test.members {
-                    add_block(&mut K, &leaf.W, (member, other));
-                }
-            }
+            let mut of_levels = Rows::zeros(p, width);
+            test.members.iter().for_each(|&member| add_columns(&mut of_levels, &leaf.half, member));
+            gathered[test.group].take(&leaf.half, &of_levels, &mut K);
         }
         let mut groups = Vec::with_capacity(unit.groups.len());
         for (number, group) in unit.groups.iter().enumerate() {
             let own = std::mem::replace(&mut gathered[number], Members::none(0, 0));
-            let root = &at.roots[crossing.tree[group.kind]];
-            let (eliminated, half, own_log_det) = own.eliminated(root);
-            log_det += own_log_det;
-            if width > 0 {
-                K = K.less(&own.D.transpose_times(&eliminated.HD));
+            let integrated = Integrated::of(&own.factor(p), &at.roots[crossing.tree[group.kind]]);
+            log_det += integrated.log_det;
+            let of_levels = Rows::solved_transposed(&integrated.upper, own.upper.last_columns(width));
+            if group.parent == number {
+                add_squares(&mut K, &of_levels);
+            } else {
+                gathered[group.parent].take(&integrated.half, &of_levels, &mut K);
             }
-            if group.parent != number {
-                let above = &mut gathered[group.parent];
-                above.take(&half);
-                above.D = std::mem::replace(&mut above.D, Rows::zeros(0, 0)).plus(&eliminated.up);
-            }
-            groups.push(eliminated);
+            groups.push(own.eliminated(&at.roots[crossing.tree[group.kind]], (&integrated, &of_levels)));
         }
         EliminatedUnit { groups, K, log_det }
     }
@@ -81,36 +80,74 @@ impl EliminatedUnit {
     }
 }
 
-/// What the members of a group say of the group's mean and of the levels.
+/// What the members of a group say of the group's mean and of the levels: [R | X], R upper triangular, of which the
+/// joint information on both is the square.
 struct Members {
-    /// R, upper triangular, R'R = J.
-    root: Rows,
-    D: Rows,
+    upper: Rows,
 }
 
 impl Members {
     fn none(p: usize, width: usize) -> Members {
-        Members { root: Rows::zeros(p, p), D: Rows::zeros(p, width) }
+        Members { upper: Rows::zeros(p, p + width) }
     }
 
-    /// Folds in the information B'B of a member.
-    fn take(&mut self, half: &Rows) {
-        let p = self.root.nrows();
-        Rotations::absorb(&mut self.root, half.clone(), p);
+    /// R.
+    fn factor(&self, p: usize) -> Rows {
+        self.upper.first_columns(p)
     }
 
-    /// The matrices of the group with Σ = FF', given F'; a root B of W = B'B; log|I + F'JF|.
-    fn eliminated(&self, root: &Rows) -> (EliminatedGroup, Rows, f64) {
-        let p = self.root.nrows();
-        let integrated = Integrated::of(&self.root, root);
-        let upper = Rotations::identity_plus(&self.root.times_transpose(root));
+    /// Folds in the rows [B | X] of a member; what they say of the levels alone is added to K.
+    fn take(&mut self, half: &Rows, of_levels: &Rows, K: &mut Rows) {
+        let p = self.upper.nrows();
+        let rest = Rotations::absorb(&mut self.upper, half.joined_columns(of_levels), p);
+        if of_levels.ncols() > 0 {
+            add_squares(K, &rest.last_columns(of_levels.ncols()));
+        }
+    }
+
+    /// The matrices of the group with Σ = FF', given F', and R and X with the effect of the group integrated out.
+    fn eliminated(&self, root: &Rows, (integrated, of_levels): (&Integrated<f64>, &Rows)) -> EliminatedGroup {
+        let (p, width) = (self.upper.nrows(), of_levels.ncols());
+        let factor = self.factor(p);
+        let upper = Rotations::identity_plus(&factor.times_transpose(root));
         let half = Rows::solved_transposed(&upper, root.clone());
         let H = half.transpose_times(&half);
-        let J = self.root.transpose_times(&self.root);
+        let J = factor.transpose_times(&factor);
         let T = Rows::identity(p).less(&H.times(&J));
-        let up = T.transpose_times(&self.D);
-        let HD = H.times(&self.D);
-        (EliminatedGroup { J, H, T, W: integrated.W, HD, up }, integrated.half, integrated.log_det)
+        // HR'X as F(I+F'R'RF)⁻¹F'R'X
+        let D = factor.transpose_times(&self.upper.last_columns(width));
+        let HD = half.transpose_times(&half.times(&D));
+        let up = integrated.half.transpose_times(of_levels);
+        EliminatedGroup { J, H, T, W: integrated.W.clone(), HD, up, D, upper, half }
+    }
+}
+
+impl EliminatedGroup {
+    /// The root û of the posterior mean Fû of the group's effect, given y, the mean of the group around it if there is
+    /// one, and the effects of the levels.
+    pub(super) fn root(&self, y: &Rows, above: Option<&Rows>, effects: &Rows) -> Rows {
+        let mut left = y.clone().less(&self.D.times(effects));
+        if let Some(above) = above {
+            left = left.less(&self.J.times(above));
+        }
+        let mut root = self.half.times(&left);
+        for c in 0..root.ncols() {
+            for i in (0..root.nrows()).rev() {
+                let dot: f64 = (i + 1..root.nrows()).map(|k| self.upper[(i, k)] * root[(k, c)]).sum();
+                root[(i, c)] = (root[(i, c)] - dot) / self.upper[(i, i)];
+            }
+        }
+        root
+    }
+}
+
+/// K ← K + X'X.
+fn add_squares(K: &mut Rows, x: &Rows) {
+    for i in 0..x.nrows() {
+        let row = x.row(i);
+        for (a, &left) in row.iter().enumerate().filter(|(_, x)| **x != 0.0) {
+            K.row_mut(a).iter_mut().zip(row).for_each(|(sum, right)| *sum += left * right);
+        }
     }
 }
 

@@ -129,6 +129,11 @@ impl Crossing {
         std::iter::once(0).chain(self.tree.iter().chain(&self.factors).copied()).collect()
     }
 
+    /// Number of levels of the part that meets most.
+    pub(in crate::levels) fn largest(&self) -> usize {
+        self.parts.iter().map(|part| part.levels.len()).max().unwrap_or(0)
+    }
+
     /// Number of tests, then number of groups of each level that tests are in.
     pub(in crate::levels) fn counts(&self) -> Vec<f64> {
         let mut counts = vec![0.0; 1 + self.tree.len() + self.factors.len()];

@@ -69,16 +69,9 @@ impl Given<'_> {
         let (unit, own) = (&here.part.units[number], &response.units[number]);
         let p = here.p;
         let columns = own.tests[0].ncols();
-        for ((test, covariance), r) in unit.tests.iter().zip(&here.weights[number].tests).zip(&own.tests) {
-            let mut above = GroupMean { mean: own.means[test.group].clone(), covariance: covariance.clone() };
-            for &member in &test.members {
-                let row = unit.met[member] * p;
-                for i in 0..p {
-                    for c in 0..columns {
-                        above.mean[(i, c)] += response.effects[(row + i, c)];
-                    }
-                }
-            }
+        let moments = here.weights[number].tests.iter().zip(&own.expected);
+        for ((test, r), (covariance, expected)) in unit.tests.iter().zip(&own.tests).zip(moments) {
+            let above = GroupMean { mean: expected.clone(), covariance: covariance.clone() };
             let leaf = &self.units.leaves[test.leaf];
             let mean = GroupMean::of((&self.leaves[test.leaf].W, r), &self.at.sigmas[0], Some(&above));
             let centre = self.at.mean_of(leaf);
@@ -143,7 +136,8 @@ impl Given<'_> {
         let response = here.respond(&data.said, 1);
         let tests = part.units.iter().flat_map(|unit| &unit.tests);
         let constant: f64 = tests.map(|test| constants[test.reduction]).sum();
-        constant - 0.5 * (here.log_det() + data.products[(0, 0)] - response.explained[(0, 0)])
+        let products = here.products(&response, &data.left);
+        constant - 0.5 * (here.log_det() + products[(0, 0)])
     }
 }
 

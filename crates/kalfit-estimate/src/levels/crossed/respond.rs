@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use crate::levels::crossed::dense::{Dense, rows_of};
 use crate::levels::crossed::eliminated::EliminatedUnit;
-use crate::levels::crossed::layout::{Part, Unit};
-use crate::levels::crossed::weights::UnitWeights;
+use crate::levels::crossed::layout::{CrossedTest, Part, TreeGroup, Unit};
+use crate::levels::crossed::weights::{GroupWeights, UnitWeights};
 use crate::levels::walk::Integrated;
 use kalfit_algebra::rows::Rows;
 
@@ -27,30 +27,30 @@ pub(super) struct Response {
     pub(super) levels: DMatrix<f64>,
     /// b̂, M × columns.
     pub(super) effects: DMatrix<f64>,
-    /// What is subtracted from the products of the columns: Σ y'Hy + y'Cy, columns × columns.
-    pub(super) explained: DMatrix<f64>,
+    /// v̂ with b̂ = Lv̂.
+    roots: DMatrix<f64>,
 }
 
 /// Responses of one unit, each p × columns.
 pub(super) struct UnitResponse {
     /// r = s - Wm̂ of each test.
     pub(super) tests: Vec<Rows>,
-    /// r of each group.
+    /// r of each group: the sum over its tests.
     pub(super) groups: Vec<Rows>,
+    /// m̂ of each test.
+    pub(super) expected: Vec<Rows>,
+    /// û of each group, whose effect is Fû.
+    roots: Vec<Rows>,
     /// α - Γb̂ of each group: the posterior mean of the sum of the effects of the group and of the groups around it.
     pub(super) means: Vec<Rows>,
 }
 
-/// Upward data of one unit.
+/// What the tests of a unit say of its groups, if all levels had no effect.
 struct UnitData {
-    /// y = Σs of each group.
+    /// y of each group.
     y: Vec<Rows>,
-    /// s = T'y of each group.
-    s: Vec<Rows>,
-    /// E's - ΣD'Hy over the levels that the unit meets.
-    of_levels: Rows,
-    /// Σ y'Hy.
-    explained: Rows,
+    /// α of each group: the posterior mean of the sum of the effects of the group and of the groups around it.
+    alphas: Vec<Rows>,
 }
 
 impl PartAt<'_> {
@@ -58,84 +58,68 @@ impl PartAt<'_> {
     pub(super) fn respond(&self, said: &[Vec<Rows>], columns: usize) -> Response {
         let p = self.p;
         let units = || self.part.units.par_iter().zip(&self.units).zip(said);
-        let up: Vec<UnitData> = units().map(|((unit, own), s)| self.up(unit, own, s, columns)).collect();
+        let data: Vec<UnitData> = units().map(|((unit, own), s)| self.without_levels(unit, own, s, columns)).collect();
         let mut y = DMatrix::zeros(self.dense.K.nrows(), columns);
-        let mut explained = DMatrix::zeros(columns, columns);
-        for (unit, data) in self.part.units.iter().zip(&up) {
-            for (level, &place) in unit.met.iter().enumerate() {
-                for i in 0..p {
-                    let row = data.of_levels.row(level * p + i);
-                    row.iter().enumerate().for_each(|(c, x)| y[(place * p + i, c)] += x);
+        for ((unit, said), UnitData { alphas, .. }) in self.part.units.iter().zip(said).zip(&data) {
+            for (test, s) in unit.tests.iter().zip(said).filter(|(test, _)| !test.members.is_empty()) {
+                let left = s.clone().less(&self.leaves[test.leaf].W.times(&alphas[test.group]));
+                for &member in &test.members {
+                    add_rows(&mut y, unit.met[member] * p, &left);
                 }
             }
-            for a in 0..columns {
-                (0..columns).for_each(|b| explained[(a, b)] += data.explained[(a, b)]);
-            }
         }
-        let effects = &self.dense.C * &y;
-        explained += y.transpose() * &effects;
-        let levels = &y - &self.dense.K * &effects;
+        let (roots, effects) = self.dense.effects(&y);
         let down = |(((unit, own), weights), (s, data)): (_, (&Vec<Rows>, &UnitData))| {
             self.down((unit, own, weights), (s, data), &effects)
         };
-        let all = self.part.units.par_iter().zip(&self.units).zip(&self.weights).zip(said.par_iter().zip(&up));
-        Response { units: all.map(down).collect(), levels, effects, explained }
+        let all = self.part.units.par_iter().zip(&self.units).zip(&self.weights).zip(said.par_iter().zip(&data));
+        let units: Vec<UnitResponse> = all.map(down).collect();
+        let mut levels = DMatrix::zeros(effects.nrows(), columns);
+        for (unit, own) in self.part.units.iter().zip(&units) {
+            for (test, r) in unit.tests.iter().zip(&own.tests) {
+                test.members.iter().for_each(|&member| add_rows(&mut levels, unit.met[member] * p, r));
+            }
+        }
+        Response { units, levels, effects, roots }
     }
 
-    fn up(&self, unit: &Unit, own: &EliminatedUnit, said: &[Rows], columns: usize) -> UnitData {
+    /// y and α of each group of a unit.
+    fn without_levels(&self, unit: &Unit, own: &EliminatedUnit, said: &[Rows], columns: usize) -> UnitData {
         let p = self.p;
         let mut y: Vec<Rows> = unit.groups.iter().map(|_| Rows::zeros(p, columns)).collect();
-        let mut of_levels = Rows::zeros(unit.met.len() * p, columns);
-        for (test, s) in unit.tests.iter().zip(said) {
-            add(&mut y[test.group], s);
-            for &member in &test.members {
-                for i in 0..p {
-                    let row = of_levels.row_mut(member * p + i);
-                    row.iter_mut().zip(s.row(i)).for_each(|(sum, x)| *sum += x);
-                }
-            }
-        }
-        let mut s = Vec::with_capacity(unit.groups.len());
-        let mut explained = Rows::zeros(columns, columns);
+        unit.tests.iter().zip(said).for_each(|(test, s)| add(&mut y[test.group], s));
         for (number, (group, own)) in unit.groups.iter().zip(&own.groups).enumerate() {
-            let up = own.T.transpose_times(&y[number]);
-            of_levels = of_levels.less(&own.HD.transpose_times(&y[number]));
-            explained = explained.plus(&y[number].transpose_times(&own.H.times(&y[number])));
             if group.parent != number {
+                let up = own.T.transpose_times(&y[number]);
                 add(&mut y[group.parent], &up);
             }
-            s.push(up);
         }
-        UnitData { y, s, of_levels, explained }
+        let last = unit.groups.len() - 1;
+        let mut alphas: Vec<Rows> = Vec::with_capacity(unit.groups.len());
+        // from the unit on, so that each group follows the group around it
+        for (number, group) in unit.groups.iter().enumerate().rev() {
+            let eliminated = &own.groups[number];
+            let alpha = eliminated.H.times(&y[number]);
+            alphas.push(match group.parent == number {
+                true => alpha,
+                false => alpha.plus(&eliminated.T.times(&alphas[last - group.parent])),
+            });
+        }
+        alphas.reverse();
+        UnitData { y, alphas }
     }
 
     fn down(
         &self,
         (unit, own, weights): (&Unit, &EliminatedUnit, &UnitWeights),
-        (said, data): (&[Rows], &UnitData),
+        (said, UnitData { y, alphas }): (&[Rows], &UnitData),
         effects: &DMatrix<f64>,
     ) -> UnitResponse {
         let p = self.p;
         let effects = rows_of(effects, unit, p);
-        let last = unit.groups.len() - 1;
-        // from the unit on, so that each group follows the group around it
-        let (mut alphas, mut groups): (Vec<Rows>, Vec<Rows>) = (Vec::new(), Vec::new());
-        let mut means: Vec<Rows> = Vec::new();
-        for (number, group) in unit.groups.iter().enumerate().rev() {
-            let eliminated = &own.groups[number];
-            let mut alpha = eliminated.H.times(&data.y[number]);
-            let mut r = data.s[number].clone().less(&eliminated.up.times(&effects));
-            if group.parent != number {
-                alpha = alpha.plus(&eliminated.T.times(&alphas[last - group.parent]));
-                r = r.less(&eliminated.W.times(&means[last - group.parent]));
-            }
-            means.push(alpha.clone().less(&weights.groups[number].gamma.times(&effects)));
-            alphas.push(alpha);
-            groups.push(r);
-        }
-        means.reverse();
-        groups.reverse();
-        let one = |(test, s): (&crate::levels::crossed::layout::CrossedTest, &Rows)| {
+        let mean = |(alpha, weights): (&Rows, &GroupWeights)| alpha.clone().less(&weights.gamma.times(&effects));
+        let means: Vec<Rows> = alphas.iter().zip(&weights.groups).map(mean).collect();
+        let expected = |test: &CrossedTest| {
             let mut mean = means[test.group].clone();
             for &member in &test.members {
                 for i in 0..p {
@@ -143,10 +127,52 @@ impl PartAt<'_> {
                     row.iter_mut().zip(effects.row(member * p + i)).for_each(|(sum, x)| *sum += x);
                 }
             }
-            s.clone().less(&self.leaves[test.leaf].W.times(&mean))
+            mean
         };
-        let tests = unit.tests.iter().zip(said).map(one).collect();
-        UnitResponse { tests, groups, means }
+        let expected: Vec<Rows> = unit.tests.iter().map(expected).collect();
+        let r =
+            |((test, s), mean): ((&CrossedTest, &Rows), &Rows)| s.clone().less(&self.leaves[test.leaf].W.times(mean));
+        let tests: Vec<Rows> = unit.tests.iter().zip(said).zip(&expected).map(r).collect();
+        let mut groups: Vec<Rows> = means.iter().map(|mean| Rows::zeros(p, mean.ncols())).collect();
+        unit.tests.iter().zip(&tests).for_each(|(test, r)| add(&mut groups[test.group], r));
+        for (number, group) in unit.groups.iter().enumerate().filter(|(number, group)| group.parent != *number) {
+            let own = groups[number].clone();
+            add(&mut groups[group.parent], &own);
+        }
+        let root = |(number, group): (usize, &TreeGroup)| {
+            let above = (group.parent != number).then(|| &means[group.parent]);
+            own.groups[number].root(&y[number], above, &effects)
+        };
+        let roots = unit.groups.iter().enumerate().map(root).collect();
+        UnitResponse { tests, groups, expected, means, roots }
+    }
+
+    /// The products x'Pz of data columns: (left - Bm̂)'(left - Bm̂) of all tests, and û'û of all effects. Where measurements
+    /// are precise, these are small differences of the columns, not differences of large products.
+    pub(super) fn products(&self, response: &Response, left: &[Vec<Rows>]) -> Rows {
+        let columns = response.effects.ncols();
+        let of_unit = |((unit, own), left): ((&Unit, &UnitResponse), &Vec<Rows>)| {
+            let mut sum = Rows::zeros(columns, columns);
+            for ((test, mean), left) in unit.tests.iter().zip(&own.expected).zip(left) {
+                let rest = left.clone().less(&self.leaves[test.leaf].half.times(mean));
+                add(&mut sum, &rest.transpose_times(&rest));
+            }
+            own.roots.iter().for_each(|root| add(&mut sum, &root.transpose_times(root)));
+            sum
+        };
+        let units = self.part.units.par_iter().zip(&response.units).zip(left);
+        let parts: Vec<Rows> = units.map(of_unit).collect();
+        let mut sum = Rows::zeros(columns, columns);
+        parts.iter().for_each(|part| add(&mut sum, part));
+        let roots = response.roots.transpose() * &response.roots;
+        Rows::from_fn(columns, columns, |i, k| sum[(i, k)] + roots[(i, k)])
+    }
+}
+
+/// Adds rows to those of a matrix from `first` on.
+fn add_rows(to: &mut DMatrix<f64>, first: usize, of: &Rows) {
+    for i in 0..of.nrows() {
+        of.row(i).iter().enumerate().for_each(|(c, x)| to[(first + i, c)] += x);
     }
 }
 

@@ -97,7 +97,7 @@ impl PartAt<'_> {
             for (number, (factor, _)) in levels() {
                 let sum = &mut sums[crossing.factors[*factor]];
                 for &level in &own {
-                    let N = block(&weights, number, level);
+                    let N = block(weights, number, level);
                     *sum = sum.clone().less(&N.times(E).times_transpose(&N));
                 }
             }
@@ -106,7 +106,7 @@ impl PartAt<'_> {
         let mut dK = DMatrix::zeros(size, size);
         self.part.units.iter().zip(tangents).for_each(|(unit, tangent)| scatter(&tangent.K, unit, p, &mut dK));
         let rest = self.dense.rest();
-        let left = &rest * &dK;
+        let left = rest * &dK;
         for (number, (factor, _)) in levels() {
             let rows = left.rows(number * p, p) * rest.rows(number * p, p).transpose();
             let sum = &mut sums[crossing.factors[*factor]];

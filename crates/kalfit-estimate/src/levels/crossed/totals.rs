@@ -72,7 +72,7 @@ impl<'a> PartAt<'a> {
         part.units.iter().zip(&units).for_each(|(unit, own)| own.add_to(unit, p, &mut K));
         let dense = Dense::new(K, part, crossing, at);
         let each = part.units.par_iter().zip(&units);
-        let weights = each.map(|(unit, own)| UnitWeights::new(unit, own, leaves, &dense.C)).collect();
+        let weights = each.map(|(unit, own)| UnitWeights::new(unit, own, &dense)).collect();
         PartAt { part, leaves, units, dense, weights, p }
     }
 
@@ -85,10 +85,10 @@ impl<'a> PartAt<'a> {
 
 /// Data columns of all tests of a part: first the effects of the mean coordinates if requested, then d - Rμ.
 pub(super) struct DataColumns {
+    /// The columns with the effect of the test integrated out, by unit, p × columns.
+    pub(super) left: Vec<Vec<Rows>>,
     /// s of each test by unit, p × columns.
     pub(super) said: Vec<Vec<Rows>>,
-    /// Products of the columns with the effects of the tests integrated out, columns × columns.
-    pub(super) products: Rows,
 }
 
 impl DataColumns {
@@ -98,25 +98,16 @@ impl DataColumns {
         (at, leaves): (&LevelLaws<'_>, &[Integrated<f64>]),
         before: usize,
     ) -> Self {
-        let of_unit = |unit: &Unit| {
-            let mut products = Rows::zeros(before + 1, before + 1);
-            let one = |test: &CrossedTest| {
-                let data = Rows::from_fn(test.data.len(), 1, |i, _| test.data[i]);
-                let leaf = &leaves[test.leaf];
-                let left = Rows::solved_transposed(&leaf.upper, at.data((&units.leaves[test.leaf], &data), before));
-                products = std::mem::replace(&mut products, Rows::zeros(0, 0)).plus(&left.transpose_times(&left));
-                leaf.half.transpose_times(&left)
-            };
-            (unit.tests.iter().map(one).collect::<Vec<Rows>>(), products)
+        let one = |test: &CrossedTest| {
+            let data = Rows::from_fn(test.data.len(), 1, |i, _| test.data[i]);
+            let leaf = &leaves[test.leaf];
+            let left = Rows::solved_transposed(&leaf.upper, at.data((&units.leaves[test.leaf], &data), before));
+            let said = leaf.half.transpose_times(&left);
+            (left, said)
         };
-        let parts: Vec<(Vec<Rows>, Rows)> = part.units.par_iter().map(of_unit).collect();
-        let mut products = Rows::zeros(before + 1, before + 1);
-        let mut said = Vec::with_capacity(parts.len());
-        for (own, of_unit) in parts {
-            products = products.plus(&of_unit);
-            said.push(own);
-        }
-        DataColumns { said, products }
+        let of_unit = |unit: &Unit| unit.tests.iter().map(one).unzip::<Rows, Rows, Vec<Rows>, Vec<Rows>>();
+        let (left, said) = part.units.par_iter().map(of_unit).unzip();
+        DataColumns { left, said }
     }
 }
 
@@ -136,14 +127,20 @@ impl Totals<'_> {
         let data = DataColumns::of(part, self.units, (self.at, self.leaves), before);
         let response = here.respond(&data.said, before + 1);
         let mut totals = UnitSums::zero(self.selection);
-        let left = |a: usize, b: usize| data.products[(a, b)] - response.explained[(a, b)];
-        totals.quadratic = left(before, before);
+        let left = here.products(&response, &data.left);
+        totals.quadratic = left[(before, before)];
         totals.value = -0.5 * (here.log_det() + totals.quadratic);
-        totals.score = Rows::from_fn(before, 1, |c, _| left(c, before));
-        totals.information = Rows::from_fn(before, before, &left);
+        totals.score = Rows::from_fn(before, 1, |c, _| left[(c, before)]);
+        totals.information = Rows::from_fn(before, before, |i, k| left[(i, k)]);
         self.first(&here, &response, before, &mut totals);
+        if self.selection.order >= Order::Average {
+            self.products_of_all(&here, &response, before, &mut totals);
+        }
         if self.selection.order >= Order::Second {
-            self.second(&here, &response, before, &mut totals);
+            self.weights_of_all(&here, &mut totals);
+        } else {
+            // twice the average is the sum of observed and expected
+            totals.observed = half(&totals.observed);
         }
         totals
     }
@@ -171,15 +168,19 @@ impl Totals<'_> {
         }
     }
 
-    /// Adds the second derivatives: for each element of the Σ, responses to its working vectors, and the derivatives of
-    /// N.
-    fn second(&self, here: &PartAt<'_>, response: &Response, before: usize, totals: &mut UnitSums) {
+    /// The elements of the Σ, in their order.
+    fn elements(&self) -> Vec<SigmaElement> {
         let (p, levels) = (self.selection.states, self.selection.levels);
         let element = |level: usize| {
             let pairs = (0..p).flat_map(|row| (0..=row).map(move |column| (row, column)));
             pairs.map(move |(row, column)| SigmaElement { level, row, column })
         };
-        let elements: Vec<SigmaElement> = (0..levels).flat_map(element).collect();
+        (0..levels).flat_map(element).collect()
+    }
+
+    /// Adds twice the average information: the responses to the working vectors of each element of the Σ.
+    fn products_of_all(&self, here: &PartAt<'_>, response: &Response, before: usize, totals: &mut UnitSums) {
+        let elements = self.elements();
         let first = if self.selection.flat.is_some_and(|(_, covariance)| covariance.is_some()) { 0 } else { before };
         let width = before + 1 - first;
         for (batch, some) in elements.chunks((MAX_COLUMNS / width).max(1)).enumerate() {
@@ -192,6 +193,11 @@ impl Totals<'_> {
                 self.products(here, (response, &moved), (at, first, before), (batch + at, totals));
             }
         }
+    }
+
+    /// Adds the expected information, and takes it from the observed one: the derivatives of N along each element.
+    fn weights_of_all(&self, here: &PartAt<'_>, totals: &mut UnitSums) {
+        let (p, elements) = (self.selection.states, self.elements());
         let along: Vec<Vec<Rows>> =
             elements.iter().map(|element| here.weights_along(self.crossing, *element)).collect();
         let order = self.crossing.order();
@@ -266,6 +272,10 @@ impl Totals<'_> {
             }
         }
     }
+}
+
+fn half(of: &Rows) -> Rows {
+    Rows::from_fn(of.nrows(), of.ncols(), |i, k| 0.5 * of[(i, k)])
 }
 
 /// Rows of one level.

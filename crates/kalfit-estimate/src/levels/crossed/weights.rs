@@ -2,12 +2,10 @@
 //! designs alone.
 #![expect(non_snake_case, reason = "W, V, P, N, E are the letters of the theory")]
 
-use crate::levels::crossed::dense::gathered;
+use crate::levels::crossed::dense::{Dense, gathered};
 use crate::levels::crossed::eliminated::EliminatedUnit;
 use crate::levels::crossed::layout::{CrossedTest, Unit};
-use crate::levels::walk::Integrated;
 use kalfit_algebra::rows::Rows;
-use nalgebra::DMatrix;
 
 /// Matrices of one unit.
 pub(super) struct UnitWeights {
@@ -33,10 +31,10 @@ pub(super) struct GroupWeights {
 }
 
 impl UnitWeights {
-    /// The matrices of a unit, with C the posterior covariance of all levels of the part.
-    pub(super) fn new(unit: &Unit, own: &EliminatedUnit, leaves: &[Integrated<f64>], C: &DMatrix<f64>) -> UnitWeights {
+    /// The matrices of a unit, given those of all levels of the part.
+    pub(super) fn new(unit: &Unit, own: &EliminatedUnit, dense: &Dense) -> UnitWeights {
         let p = own.groups[0].J.nrows();
-        let C = gathered(C, unit, p);
+        let C = gathered(&dense.C, unit, p);
         let last = unit.groups.len() - 1;
         let mut groups: Vec<GroupWeights> = Vec::with_capacity(unit.groups.len());
         for (number, group) in unit.groups.iter().enumerate().rev() {
@@ -58,15 +56,54 @@ impl UnitWeights {
             groups.push(GroupWeights { gamma, P, y, V, N });
         }
         groups.reverse();
-        let of_test = |test: &CrossedTest| {
-            debug_assert_eq!(leaves[test.leaf].W.nrows(), p, "states");
-            let above = &groups[test.group];
-            let mut V = above.V.clone();
-            add_members(&mut V, test, &C, &above.y);
-            V
-        };
+        let rest = Rest { unit, dense, p, of_groups: groups.iter().map(|group| group.rest(unit, dense)).collect() };
+        let of_test = |test: &CrossedTest| rest.covariance(test, &groups[test.group].P);
         let tests = unit.tests.iter().map(of_test).collect();
         UnitWeights { groups, tests, C }
+    }
+}
+
+impl GroupWeights {
+    /// A root of ΓCΓ': Γ times the root of C, p × columns of the root.
+    fn rest(&self, unit: &Unit, dense: &Dense) -> Rows {
+        let p = self.gamma.nrows();
+        let mut rest = Rows::zeros(p, dense.half.nrows());
+        for (level, &place) in unit.met.iter().enumerate() {
+            for k in 0..p {
+                let column = dense.half.column(place * p + k);
+                for i in 0..p {
+                    let x = self.gamma[(i, level * p + k)];
+                    if x != 0.0 {
+                        rest.row_mut(i).iter_mut().zip(column.iter()).for_each(|(sum, half)| *sum += x * half);
+                    }
+                }
+            }
+        }
+        rest
+    }
+}
+
+/// What the levels leave unknown of the mean of a test: (E-Γ)C(E-Γ)' as the square of a root, for where measurements are
+/// precise it is a small difference of E and Γ.
+struct Rest<'a> {
+    unit: &'a Unit,
+    dense: &'a Dense,
+    p: usize,
+    /// Γ times the root of C, of each group.
+    of_groups: Vec<Rows>,
+}
+
+impl Rest<'_> {
+    /// V = P + (E-Γ)C(E-Γ)' of a test.
+    fn covariance(&self, test: &CrossedTest, of_group: &Rows) -> Rows {
+        let mut root = self.of_groups[test.group].clone();
+        for &member in &test.members {
+            for i in 0..self.p {
+                let column = self.dense.half.column(self.unit.met[member] * self.p + i);
+                root.row_mut(i).iter_mut().zip(column.iter()).for_each(|(rest, half)| *rest -= half);
+            }
+        }
+        of_group.clone().plus(&root.times_transpose(&root))
     }
 }
 
