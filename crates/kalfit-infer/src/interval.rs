@@ -1,7 +1,5 @@
 //! 95 % intervals: Wald intervals, on scales where the law is nearly normal, and intervals by profile likelihood.
 
-use std::sync::Arc;
-
 use rayon::prelude::*;
 
 use crate::ends::{Holds, Profile};
@@ -13,7 +11,6 @@ use crate::ratio::calibrated;
 use kalfit_algebra::elements::Elements;
 use kalfit_estimate::{Criterion, Estimate, Point};
 use kalfit_filter::reduce::Reductions;
-use kalfit_model::Grouping;
 
 /// Normal quantile q of 97.5 %: a profile interval holds the values with ℓ_max at most ½q² below the maximum.
 pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
@@ -41,20 +38,16 @@ pub const FEW_UNITS: usize = 50;
 /// Maximal number of rows × profiles where α is free: a profile takes some thirty filter runs, and 10⁵ rows a third of a
 /// millisecond for each.
 const CHEAP_ROWS: usize = 100_000;
-/// Maximal number of tests in groups that cross whose profiles are quick.
-const MOST_CROSSED_TESTS: usize = 2000;
 /// Maximal number of elements of Σ that have profiles by default, as for free α.
 const FEW_QUANTITIES: usize = 60;
 
-/// Whether an estimate is from few units, or few levels of a factor that crosses these, that are here, and of a Σ of few elements: what is done with few units is then
+/// Whether an estimate is from few units that are here, and of a Σ of few elements: what is done with few units is then
 /// quick.
 pub fn has_few_units(estimate: &Estimate, tests: usize) -> bool {
-    let fewest = |grouping: &Arc<Grouping>| match grouping.is_crossed() {
-        true if tests > MOST_CROSSED_TESTS => tests, // each point of a profile passes through all of them
-        true => (0..grouping.depth()).map(|level| grouping.groups(level).len()).min().unwrap_or(tests),
-        false => grouping.groups(grouping.depth() - 1).len(),
-    };
-    let units = estimate.grouping().map_or(tests, fewest);
+    if estimate.grouping().is_some_and(|grouping| grouping.is_crossed()) {
+        return false; // each point of a profile is a search in one system of all tests
+    }
+    let units = estimate.grouping().map_or(tests, |grouping| grouping.groups(grouping.depth() - 1).len());
     let problem = &estimate.state.problem;
     let is_here = problem.classes.remote.is_none();
     is_here && units <= FEW_UNITS && problem.covariance.elements.count() <= FEW_QUANTITIES

@@ -146,6 +146,8 @@ pub enum Failure {
     Crossed {
         /// What is refused, as the beginning of a sentence.
         what: &'static str,
+        /// What to do.
+        hint: &'static str,
     },
     /// A table of rows of a fit that did not examine single measurements.
     #[error("`--rows` has nothing to write: {why}")]
@@ -486,9 +488,7 @@ impl Failure {
             Failure::HypothesisParameter { .. } => "a hypothesis restricts what the model leaves free",
             Failure::UnknownUnit(_) => "`--units new` predicts tests of units that nobody has seen",
             Failure::NoUnits { .. } | Failure::OnePhase { .. } => "leave it out",
-            Failure::Crossed { .. } => {
-                "posteriors of tests, units and levels of the fitted data are in the fit; `predict` takes new units at new levels"
-            }
+            Failure::Crossed { hint, .. } => hint,
             Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {
                 "a fold holds whole groups: name a column that is the same for all tests of one"
             }

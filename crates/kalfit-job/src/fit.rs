@@ -27,6 +27,27 @@ const CUT_SHORT: &str = "it was interrupted after it had converged: other starts
 /// Said where the list of tests is empty.
 const NO_TESTS: &str = "what each test says was not asked for";
 
+/// Refuses what needs independent tests, or laws of few of them, where groups of tests cross.
+fn refuse_with_factors(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
+    let refuse = |what, hint| model::refuse_crossed(spec, what, hint);
+    if job.choices.std_errors == StdErrors::Sandwich {
+        refuse(
+            "sandwich standard errors are not computed",
+            "they take scores of independent tests; leave the option out",
+        )?;
+    }
+    if matches!(job.choices.df, DfChoice::KenwardRoger | DfChoice::Satterthwaite) {
+        refuse(
+            "degrees of freedom of few tests are not computed",
+            "leave `--df` out; `--intervals profile` has profiles",
+        )?;
+    }
+    if job.tables.rows.is_some() {
+        refuse("single measurements are not judged", "leave `--rows` out; `--innovations on` judges tests")?;
+    }
+    Ok(())
+}
+
 /// Fits a model to data. A search that is [stopped](JobWatch::stops) ends with the best that it found, and a record that says so,
 /// and writes no file unless the job [keeps](FitJob::keeps_stopped) it.
 ///
@@ -44,6 +65,7 @@ pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>,
     let mut spec = model::load(&job.model, &job.data)?;
     memory::suffices(&spec)?;
     refuse_one_phase(job, &spec)?;
+    refuse_with_factors(job, &spec)?;
     let given = CommandInputs::open(&mut spec, &job.data)?;
     groups::refuse(job, &spec.model, &given)?;
     let free = model::has_free(spec.model.shared());

@@ -38,8 +38,8 @@ fn swapped(mut failure: Failure, document: &Document, data: &[Datum]) -> Failure
 }
 
 /// Refuses a model with crossed factors; `what` is not done with it, as the beginning of a sentence.
-pub(crate) fn refuse_crossed(spec: &Spec, what: &'static str) -> Result<(), Failure> {
-    if spec.model.factors().is_empty() { Ok(()) } else { Err(Failure::Crossed { what }) }
+pub(crate) fn refuse_crossed(spec: &Spec, what: &'static str, hint: &'static str) -> Result<(), Failure> {
+    if spec.model.factors().is_empty() { Ok(()) } else { Err(Failure::Crossed { what, hint }) }
 }
 
 /// Reads a model as it stands.

@@ -28,7 +28,8 @@ impl From<error::BestPlanError> for Failure {
 pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecord>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     memory::suffices(&spec)?;
-    model::refuse_crossed(&spec, "plans are not made")?;
+    let hint = "a plan of the model without `crossed` promises too small errors; `kalfit simulate` and fits of what it draws tell them";
+    model::refuse_crossed(&spec, "plans are not made", hint)?;
     match &job.request {
         PlanRequest::Design(plan) => design::expected(job, plan, (spec, truth), watch),
         PlanRequest::Best(best) => choose::choose(job, best, (spec, truth), watch),

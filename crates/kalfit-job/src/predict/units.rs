@@ -30,7 +30,8 @@ impl UnitLaws {
         if job.units == PredictedUnits::New {
             return Ok(UnitLaws::New(Initial::new(&spec.model, &truth.population)));
         }
-        model::refuse_crossed(spec, "known units are not predicted")?;
+        let hint = "`--units new` predicts a new unit at new levels; posteriors of units and levels are in the fit";
+        model::refuse_crossed(spec, "known units are not predicted", hint)?;
         let level = spec.model.nested().last().ok_or(Failure::NoUnits { why: "the model has no levels of groups" })?;
         let record = truth.record.as_ref().ok_or(Failure::NoUnits { why: "a model file knows no units" })?;
         let units = record.unit_laws(&spec.model, &truth.population);

@@ -73,12 +73,12 @@ fn per_words(per: &Option<String>) -> String {
     per.as_ref().map_or("common to all tests".to_owned(), |per| format!("per `{per}`"))
 }
 
-/// The tables of a model file that give values to elements; those of a model in phases are named `mean[phase.state]`.
+/// The tables of a model file that give values to elements; those of a phase or a level are named `mean[phase.state]`.
 fn tables(elements: &[String]) -> String {
     let phase = elements.iter().find_map(|element| element.split_once('[')?.1.split_once('.').map(|(phase, _)| phase));
     match phase {
         None => "`[mean]` and `[covariance]`".to_owned(),
-        Some(phase) => format!("`[phases.{phase}.mean]` and `[phases.{phase}.covariance]`"),
+        Some(part) => format!("`mean` and `covariance` of `{part}`"),
     }
 }
 

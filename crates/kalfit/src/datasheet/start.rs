@@ -101,7 +101,7 @@ impl StateEntries<'_> {
         let interval = match &level {
             None => self.own.and_then(|own| self.interval(&own.states, &own.std_dev.interval95)),
             Some(name) => {
-                let own = self.record.and_then(|record| record.levels.iter().find(|level| level.name == *name));
+                let own = self.record.and_then(|record| record.all_levels().find(|level| level.name == *name));
                 own.and_then(|own| self.interval(&own.states, &own.std_dev.interval95))
             }
         };
@@ -111,6 +111,12 @@ impl StateEntries<'_> {
         let (suffix, definition) = match level.as_deref() {
             None => (String::new(), WITHOUT_UNITS.to_owned()),
             Some(TESTS) => (", run to run".to_owned(), WITHIN_UNIT.to_owned()),
+            Some(factor) if self.model.factors().iter().any(|own| own.name == factor) => (
+                format!(", {factor} to {factor}"),
+                format!(
+                    "standard deviation, from one `{factor}` to the next, of the part that tests there share; it is of what tests meet, not of the instruments"
+                ),
+            ),
             Some(level) => (
                 format!(", unit to unit ({level})"),
                 format!(

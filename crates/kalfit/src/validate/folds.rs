@@ -96,7 +96,7 @@ impl Folds {
             return Err(FoldsError::One { why: "name a column with different texts" });
         }
         let of: Vec<usize> = test_texts.iter().map(|text| names.partition_point(|name| name < text)).collect();
-        if let Some(level) = model.levels.first() {
+        if let Some(level) = model.nested().first() {
             let mut seen: BTreeMap<String, usize> = BTreeMap::new();
             for (group, &fold) in pieces(model, labels, tests)?.into_iter().zip(&of) {
                 let first = *seen.entry(group.clone()).or_insert(fold);
