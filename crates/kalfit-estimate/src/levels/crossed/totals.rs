@@ -231,12 +231,11 @@ impl Totals<'_> {
         let width = before + 1 - first;
         let mut sum = vec![Rows::zeros(p, p); self.selection.levels];
         let mut node = |block: usize, r: &Rows, moved: &Rows| {
-            // dr is minus the response
-            let data = |i: usize| -moved[(i, at * width + before - first)];
+            // dr is minus the response; the other half of dr r' + r dr' follows by symmetry
+            let own = &mut sum[block];
             for i in 0..p {
-                for k in 0..p {
-                    sum[block][(i, k)] += data(i) * r[(k, before)] + r[(i, before)] * data(k);
-                }
+                let change = -2.0 * moved.row(i)[at * width + before - first];
+                own.row_mut(i).iter_mut().enumerate().for_each(|(k, sum)| *sum += change * r.row(k)[before]);
             }
             if let (Some((jacobian, Some(covariance))), 0) = (self.selection.flat, first) {
                 let own = Rows::from_fn(p, before, |i, c| -moved[(i, at * width + c)]);
@@ -267,7 +266,8 @@ impl Totals<'_> {
             for i in 0..p {
                 for k in 0..=i {
                     let row = block * pairs(p) + pair(i, k);
-                    totals.observed[(row, e)] += if i == k { -0.5 } else { -1.0 } * along[(i, k)];
+                    let both = 0.5 * (along[(i, k)] + along[(k, i)]);
+                    totals.observed[(row, e)] += if i == k { -0.5 } else { -1.0 } * both;
                 }
             }
         }
