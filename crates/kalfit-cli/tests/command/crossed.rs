@@ -245,7 +245,7 @@ fn what_is_not_a_factor_is_refused_in_words() {
     ----- stderr
     error: stations.csv, row 3, column `rate`: found group `1.557` in a row of test `0/0-0`, expected `1.551` as in its first row
 
-    hint: names that hold a `/` make two tests look like one: write them with another character
+    hint: a test is of one group of each column of `levels` and `crossed` of `[data]`: split the test, or take the column out there
 
     exit 2
     ----- stdout

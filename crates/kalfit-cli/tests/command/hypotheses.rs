@@ -378,7 +378,7 @@ fn files_that_are_no_hypotheses_are_refused() {
       --> vaccine.toml:3:2 | [data]
                            |  ^^^^
 
-    hint: its keys are `title`, `mean`, `covariance`, `levels`, `parameters` or `phases`
+    hint: its keys are `title`, `mean`, `covariance`, `levels`, `crossed`, `parameters` or `phases`
     ");
     assert_snapshot!(refused_hypothesis(""), @"
     exit 2

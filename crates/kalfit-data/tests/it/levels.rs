@@ -143,7 +143,7 @@ fn a_missing_group_is_refused() {
     let rows = [["A", "1", "a"], ["A", "", "a"]];
     assert_snapshot!(refused(&rows, &by_run()), @"
     standard input, row 3, column `serial`: found a missing cell, expected the group of the row's test at level `serial`
-    hint: every row needs the group of its test at every level of `levels` of `[data]`
+    hint: every row needs the group of its test in every column of `levels` and `crossed` of `[data]`
     ");
     assert_eq!(refused(&rows, &layout(TestKey::File)), refused(&rows, &by_run()));
     assert_snapshot!(refused(&[["", "1", ""]], &by_run()), @"
@@ -161,7 +161,7 @@ fn a_file_of_two_groups_is_refused() {
     let rows = [["A", "1", ""], ["A", "1", ""], ["A", "2", ""], ["B", "1", ""]];
     assert_snapshot!(refused(&rows, &layout(TestKey::File)), @"
     standard input, row 4, column `serial`: found group `2` in a row of test `stdin`, expected `1` as in its first row
-    hint: a test is of one group at each level: split the file, or take the column out of `levels` of `[data]`
+    hint: a test is of one group of each column of `levels` and `crossed` of `[data]`: split the test, or take the column out there
     ");
 }
 

@@ -198,7 +198,7 @@ fn keys_and_words_that_are_unknown_are_refused_where_they_stand() {
     insta::assert_snapshot!(refusal("[states]\na = {}\n"), @r#"
     unknown key `states` in the hypothesis
     in the hypothesis at "states"
-    hint its keys are `title`, `mean`, `covariance`, `levels`, `parameters` or `phases`
+    hint its keys are `title`, `mean`, `covariance`, `levels`, `crossed`, `parameters` or `phases`
     "#);
     insta::assert_snapshot!(refusal("# é\n[covarance]\nfixed = {}\n"), @r#"
     unknown key `covarance` in the hypothesis

@@ -196,7 +196,7 @@ fn what_is_wrong_with_a_phase_is_refused_where_it_stands() {
     insta::assert_snapshot!(refusal("[filter]\nkind = 'kalman-schmidt'\n"), @r#"
     unknown key `filter` in the hypothesis
     in the hypothesis at "filter"
-    hint its keys are `title`, `mean`, `covariance`, `levels`, `parameters` or `phases`
+    hint its keys are `title`, `mean`, `covariance`, `levels`, `crossed`, `parameters` or `phases`
     "#);
 }
 

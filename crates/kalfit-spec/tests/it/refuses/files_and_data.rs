@@ -86,7 +86,7 @@ fn a_word_with_an_at_sign_that_is_not_file() {
 test = "@flie"
 "#;
     insta::assert_snapshot!(refusal(text), @r#"
-    `test` of `[data]` is `@flie`, expected `@file` or the name of a column
+    `test` of `[data]` is `@flie`, expected `@file`, `@row` or the name of a column
     at   "\"@flie\""
     hint did you mean `@file`?
     "#);

@@ -241,7 +241,7 @@ fn carry_in_the_first_phase() {
     insta::assert_snapshot!(complete("[carry]\na = 'a'\n"), @r#"
     unknown key `carry` in the model file
     at   "carry"
-    hint its keys are `title`, `data`, `states`, `process_noise_covariance`, `measurements`, `noise_covariance`, `parameters`, `mean`, `covariance`, `levels`, `phases` or `filter`
+    hint its keys are `title`, `data`, `states`, `process_noise_covariance`, `measurements`, `noise_covariance`, `parameters`, `mean`, `covariance`, `levels`, `crossed`, `phases` or `filter`
     "#);
 }
 
