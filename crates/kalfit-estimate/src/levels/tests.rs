@@ -114,7 +114,7 @@ fn crossed(
         let unit = depth.checked_sub(1).map_or(j, |outermost| made.grouping.group_of(number, outermost));
         let of = |(f, levels): (usize, &usize)| {
             let level = (j * (f + 3) + f + unit * unit) % levels;
-            if apart && unit % 3 == 0 { 100 + level } else { level }
+            if apart && unit.is_multiple_of(3) { 100 + level } else { level }
         };
         let mut names: Vec<Label> = factors.iter().enumerate().map(of).map(Label::literal).collect();
         let path =
