@@ -74,7 +74,7 @@ pub struct Said {
     pub joint: Option<JointDistance>,
 }
 
-/// What all tests together say of a population.
+/// Distance of all tests together from a population.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointDistance {
     /// (d - Rμ)'Ω⁻¹(d - Rμ) over all tests.

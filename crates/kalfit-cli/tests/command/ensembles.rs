@@ -228,7 +228,7 @@ fn a_population_of_other_phases_is_refused() {
     ----- stderr
     error: `half.toml`: no value is given for mean[flight.velocity_error], mean[flight.tilt], mean[flight.bias], covariance[flight.velocity_error, flight.velocity_error], covariance[flight.velocity_error, flight.tilt], covariance[flight.tilt, flight.tilt], covariance[flight.velocity_error, flight.bias], covariance[flight.tilt, flight.bias], covariance[flight.bias, flight.bias]
 
-    hint: fix it or give it a start value in `mean` and `covariance` of `flight`, or take a fit
+    hint: fix it or give it a start value in `[phases.flight.mean]` and `[phases.flight.covariance]`, or take a fit
     ");
     assert!(!folder.path("s.csv").exists());
 }

@@ -20,7 +20,7 @@ const UNITS: (usize, usize) = (24, 4);
 const TRUTH: [f64; 5] = [250.0, 6.0, 12.0, 12.0, 10.0];
 /// Rows of a test.
 const ROWS: [f64; 4] = [0.0, 1.0, 2.0, 3.0];
-/// What is fitted to each ensemble.
+/// Fits of each ensemble: name, criterion and kind of intervals.
 const FITS: [(&str, Criterion, IntervalKind); 4] = [
     ("ML, Wald", Criterion::Ml, IntervalKind::Wald),
     ("ML, profile", Criterion::Ml, IntervalKind::Profile),

@@ -87,23 +87,24 @@ pub fn posteriors(
         tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &upper_roots), all, (g, constants)))).collect()
     };
     let found: Vec<Vec<MemberId>> = units.designs.par_iter().map(of_design).collect();
-    let mut all = empty(units);
-    for one in found.into_iter().flatten() {
-        match one {
-            MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
-            MemberId::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
-        }
-    }
-    all
+    LevelPosteriors::gathered(units, found)
 }
 
-/// Posteriors without numbers, for all tests and groups.
-pub(super) fn empty(units: &Units) -> LevelPosteriors {
-    LevelPosteriors {
-        tests: vec![TestPosterior::default(); units.grouping.tests()],
-        groups: (0..units.grouping.depth())
-            .map(|level| vec![ScaledGroupPosterior::default(); units.grouping.groups(level).len()])
-            .collect(),
+impl LevelPosteriors {
+    /// The posteriors that were found of all tests and groups, in the order of the grouping.
+    pub(super) fn gathered(units: &Units, found: Vec<Vec<MemberId>>) -> LevelPosteriors {
+        let empty = |level: usize| vec![ScaledGroupPosterior::default(); units.grouping.groups(level).len()];
+        let mut all = LevelPosteriors {
+            tests: vec![TestPosterior::default(); units.grouping.tests()],
+            groups: (0..units.grouping.depth()).map(empty).collect(),
+        };
+        for one in found.into_iter().flatten() {
+            match one {
+                MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
+                MemberId::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
+            }
+        }
+        all
     }
 }
 

@@ -11,7 +11,7 @@ use kalfit_algebra::factors::{Factors, Rotations};
 use kalfit_algebra::rows::Rows;
 
 /// An entry below this fraction of the norm of its column counts as rounding.
-const RANK_TOLERANCE: f64 = 1e-10;
+pub(super) const RANK_TOLERANCE: f64 = 1e-10;
 
 /// Σ of each level and the mean, at a point.
 pub(super) struct LevelLaws<'a, T = f64> {

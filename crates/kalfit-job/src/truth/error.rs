@@ -75,10 +75,12 @@ fn per_words(per: &Option<String>) -> String {
 
 /// The tables of a model file that give values to elements; those of a phase or a level are named `mean[phase.state]`.
 fn tables(elements: &[String]) -> String {
-    let phase = elements.iter().find_map(|element| element.split_once('[')?.1.split_once('.').map(|(phase, _)| phase));
-    match phase {
-        None => "`[mean]` and `[covariance]`".to_owned(),
-        Some(part) => format!("`mean` and `covariance` of `{part}`"),
+    let part = |element: &String| Some(element.split_once('[')?.1.split_once('.')?.0.to_owned());
+    let part_with = |start: &str| elements.iter().filter(|element| element.starts_with(start)).find_map(part);
+    match (part_with("mean"), part_with("")) {
+        (Some(phase), _) => format!("`[phases.{phase}.mean]` and `[phases.{phase}.covariance]`"),
+        (None, Some(part)) => format!("`covariance` of `{part}`"),
+        (None, None) => "`[mean]` and `[covariance]`".to_owned(),
     }
 }
 

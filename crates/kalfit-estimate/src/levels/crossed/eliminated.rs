@@ -10,7 +10,7 @@ use nalgebra::DMatrix;
 /// Matrices of the groups of a unit, with the levels that the unit meets as columns.
 pub(super) struct EliminatedUnit {
     pub(super) groups: Vec<EliminatedGroup>,
-    /// What the unit says of the levels that it meets: Σ E'WE - Σ D'HD, by the levels' states.
+    /// Information of the unit on the effects of the levels that it meets, Σ E'WE - Σ D'HD, by the levels' states.
     pub(super) K: Rows,
     /// Sum of log|I + F'JF| over tests and groups.
     pub(super) log_det: f64,
@@ -80,8 +80,8 @@ impl EliminatedUnit {
     }
 }
 
-/// What the members of a group say of the group's mean and of the levels: [R | X], R upper triangular, of which the
-/// joint information on both is the square.
+/// Root of the information of the members of a group on the group's mean and on the effects of the levels: [R | X], R
+/// upper triangular.
 struct Members {
     upper: Rows,
 }

@@ -5,16 +5,13 @@ use rayon::prelude::*;
 use crate::levels::crossed::layout::{Crossing, Part, TreeGroup, Unit};
 use crate::levels::crossed::respond::{PartAt, Response};
 use crate::levels::crossed::totals::{DataColumns, leaves};
-use crate::levels::posterior::{LevelPosteriors, MemberId, ScaledGroupPosterior, TestPosterior, empty};
+use crate::levels::posterior::{LevelPosteriors, MemberId, ScaledGroupPosterior, TestPosterior};
 use crate::levels::units::Units;
-use crate::levels::walk::{GroupMean, Integrated, LevelLaws};
+use crate::levels::walk::{GroupMean, Integrated, LevelLaws, RANK_TOLERANCE};
 use crate::point::{Point, Regressors};
 use kalfit_algebra::rows::Rows;
 use kalfit_algebra::symmetric;
 use nalgebra::{DMatrix, DVector};
-
-/// Eigenvalue of N, relative to the largest, below which a direction is not informed.
-const RANK_TOLERANCE: f64 = 1e-10;
 
 /// The posteriors at a point. The mean of the members of a group is μ plus the effects of the group and of the groups
 /// around it; that of a level of a factor is μ plus the effect of the level. The distance of a group is r'N⁺r, which is
@@ -30,14 +27,7 @@ pub(in crate::levels) fn posteriors(
     let leaves = leaves(units, &at);
     let given = Given { units, crossing, at: &at, leaves: &leaves, constants, coordinates };
     let found: Vec<Vec<MemberId>> = crossing.parts.par_iter().map(|part| given.of_part(part)).collect();
-    let mut all = empty(units);
-    for one in found.into_iter().flatten() {
-        match one {
-            MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
-            MemberId::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
-        }
-    }
-    all
+    LevelPosteriors::gathered(units, found)
 }
 
 struct Given<'a> {
@@ -144,11 +134,9 @@ impl Given<'_> {
 /// r'N⁺r of the last column of r, and the rank of N.
 fn distance(r: &Rows, n: &Rows) -> (f64, usize) {
     let (p, last) = (r.nrows(), r.ncols() - 1);
-    let size = |i: usize| if n[(i, i)] > 0.0 { n[(i, i)].sqrt() } else { 0.0 };
-    let unit = |i: usize| if size(i) > 0.0 { size(i).recip() } else { 0.0 };
-    let scaled = DMatrix::from_fn(p, p, |i, k| 0.5 * (n[(i, k)] + n[(k, i)]) * unit(i) * unit(k));
-    let (values, vectors) = symmetric::eigen(&scaled);
-    let right = DVector::from_fn(p, |i, _| r[(i, last)] * unit(i));
+    let (size, values, vectors) =
+        symmetric::scaled_eigen(&DMatrix::from_fn(p, p, |i, k| 0.5 * (n[(i, k)] + n[(k, i)])));
+    let right = DVector::from_fn(p, |i, _| r[(i, last)] / size[i]);
     let largest = values.last().copied().unwrap_or(0.0);
     let informed = values.iter().enumerate().filter(|(_, value)| **value > RANK_TOLERANCE * largest && **value > 0.0);
     informed.fold((0.0, 0), |(sum, rank), (k, value)| (sum + vectors.column(k).dot(&right).powi(2) / value, rank + 1))

@@ -7,6 +7,7 @@ use crate::levels::crossed::dense::{Dense, rows_of};
 use crate::levels::crossed::eliminated::EliminatedUnit;
 use crate::levels::crossed::layout::{CrossedTest, Part, TreeGroup, Unit};
 use crate::levels::crossed::weights::{GroupWeights, UnitWeights};
+use crate::levels::totals::add;
 use crate::levels::walk::Integrated;
 use kalfit_algebra::rows::Rows;
 
@@ -45,7 +46,7 @@ pub(super) struct UnitResponse {
     pub(super) means: Vec<Rows>,
 }
 
-/// What the tests of a unit say of its groups, if all levels had no effect.
+/// Moments of the groups of a unit if all levels had no effect, each p × columns.
 struct UnitData {
     /// y of each group.
     y: Vec<Rows>,
@@ -87,11 +88,11 @@ impl PartAt<'_> {
     fn without_levels(&self, unit: &Unit, own: &EliminatedUnit, said: &[Rows], columns: usize) -> UnitData {
         let p = self.p;
         let mut y: Vec<Rows> = unit.groups.iter().map(|_| Rows::zeros(p, columns)).collect();
-        unit.tests.iter().zip(said).for_each(|(test, s)| add(&mut y[test.group], s));
+        unit.tests.iter().zip(said).for_each(|(test, s)| add(&mut y[test.group], 1.0, s));
         for (number, (group, own)) in unit.groups.iter().zip(&own.groups).enumerate() {
             if group.parent != number {
                 let up = own.T.transpose_times(&y[number]);
-                add(&mut y[group.parent], &up);
+                add(&mut y[group.parent], 1.0, &up);
             }
         }
         let last = unit.groups.len() - 1;
@@ -134,10 +135,10 @@ impl PartAt<'_> {
             |((test, s), mean): ((&CrossedTest, &Rows), &Rows)| s.clone().less(&self.leaves[test.leaf].W.times(mean));
         let tests: Vec<Rows> = unit.tests.iter().zip(said).zip(&expected).map(r).collect();
         let mut groups: Vec<Rows> = means.iter().map(|mean| Rows::zeros(p, mean.ncols())).collect();
-        unit.tests.iter().zip(&tests).for_each(|(test, r)| add(&mut groups[test.group], r));
+        unit.tests.iter().zip(&tests).for_each(|(test, r)| add(&mut groups[test.group], 1.0, r));
         for (number, group) in unit.groups.iter().enumerate().filter(|(number, group)| group.parent != *number) {
             let own = groups[number].clone();
-            add(&mut groups[group.parent], &own);
+            add(&mut groups[group.parent], 1.0, &own);
         }
         let root = |(number, group): (usize, &TreeGroup)| {
             let above = (group.parent != number).then(|| &means[group.parent]);
@@ -155,15 +156,15 @@ impl PartAt<'_> {
             let mut sum = Rows::zeros(columns, columns);
             for ((test, mean), left) in unit.tests.iter().zip(&own.expected).zip(left) {
                 let rest = left.clone().less(&self.leaves[test.leaf].half.times(mean));
-                add(&mut sum, &rest.transpose_times(&rest));
+                add(&mut sum, 1.0, &rest.transpose_times(&rest));
             }
-            own.roots.iter().for_each(|root| add(&mut sum, &root.transpose_times(root)));
+            own.roots.iter().for_each(|root| add(&mut sum, 1.0, &root.transpose_times(root)));
             sum
         };
         let units = self.part.units.par_iter().zip(&response.units).zip(left);
         let parts: Vec<Rows> = units.map(of_unit).collect();
         let mut sum = Rows::zeros(columns, columns);
-        parts.iter().for_each(|part| add(&mut sum, part));
+        parts.iter().for_each(|part| add(&mut sum, 1.0, part));
         let roots = response.roots.transpose() * &response.roots;
         Rows::from_fn(columns, columns, |i, k| sum[(i, k)] + roots[(i, k)])
     }
@@ -173,11 +174,5 @@ impl PartAt<'_> {
 fn add_rows(to: &mut DMatrix<f64>, first: usize, of: &Rows) {
     for i in 0..of.nrows() {
         of.row(i).iter().enumerate().for_each(|(c, x)| to[(first + i, c)] += x);
-    }
-}
-
-fn add(sum: &mut Rows, more: &Rows) {
-    for i in 0..more.nrows() {
-        sum.row_mut(i).iter_mut().zip(more.row(i)).for_each(|(sum, x)| *sum += x);
     }
 }

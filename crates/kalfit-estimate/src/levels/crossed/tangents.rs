@@ -18,11 +18,12 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::levels::crossed::dense::gathered;
-use crate::levels::crossed::eliminated::{EliminatedUnit, add_block, add_columns, scatter};
+use crate::levels::crossed::eliminated::{EliminatedGroup, EliminatedUnit, add_block, add_columns, scatter};
 use crate::levels::crossed::layout::{Crossing, Unit};
 use crate::levels::crossed::respond::PartAt;
-use crate::levels::crossed::weights::{UnitWeights, add_members, with_transpose};
+use crate::levels::crossed::weights::{GroupWeights, UnitWeights, add_members, with_transpose};
 use crate::levels::tangents::SigmaElement;
+use crate::levels::walk::Integrated;
 use kalfit_algebra::rows::Rows;
 
 /// Derivatives of the matrices of one group; those that vanish are absent.
@@ -40,7 +41,7 @@ struct UnitTangent {
     K: Rows,
 }
 
-/// What members say of a group's mean and of the levels, to first order.
+/// Derivatives of J and D of a group.
 struct MembersTangent {
     J: Rows,
     D: Rows,
@@ -52,18 +53,18 @@ impl PartAt<'_> {
     pub(super) fn weights_along(&self, crossing: &Crossing, element: SigmaElement) -> Vec<Rows> {
         let p = self.p;
         let E = element.matrix(p);
+        if let Some(factor) = crossing.factors.iter().position(|&own| own == element.level) {
+            return self.along_factor(crossing, factor, &E);
+        }
         let of_tests: Option<Vec<Rows>> = (element.level == 0).then(|| {
-            let of = |leaf: &crate::levels::walk::Integrated<f64>| minus(&leaf.W.times(&E).times(&leaf.W));
+            let of = |leaf: &Integrated<f64>| minus(&leaf.W.times(&E).times(&leaf.W));
             self.leaves.iter().map(of).collect()
         });
-        if crossing.factors.contains(&element.level) {
-            return self.of_levels(crossing, (element, &E), &[]).1;
-        }
         let units = || self.part.units.par_iter().zip(&self.units);
         let up =
             |(unit, own): (&Unit, &EliminatedUnit)| upward(unit, own, crossing, (element, &E), of_tests.as_deref());
         let tangents: Vec<UnitTangent> = units().map(up).collect();
-        let (dC, mut sums) = self.of_levels(crossing, (element, &E), &tangents);
+        let (dC, mut sums) = self.of_levels(crossing, &tangents);
         let lowest = crossing.tree.iter().position(|&block| block == element.level);
         let down = |((unit, own), (weights, tangent)): ((&Unit, &EliminatedUnit), (&UnitWeights, &UnitTangent))| {
             self.downward((unit, own), (weights, tangent), (lowest, of_tests.as_deref()), (crossing, &dC))
@@ -75,39 +76,40 @@ impl PartAt<'_> {
         sums
     }
 
-    /// dC unless the element is of a factor, and Σ dN over the levels of each factor, by block of Σ.
-    fn of_levels(
-        &self,
-        crossing: &Crossing,
-        (element, E): (SigmaElement, &Rows),
-        tangents: &[UnitTangent],
-    ) -> (DMatrix<f64>, Vec<Rows>) {
-        let (p, size) = (self.p, self.dense.K.nrows());
-        let mut sums = vec![Rows::zeros(p, p); 1 + crossing.tree.len() + crossing.factors.len()];
-        if size == 0 {
-            return (DMatrix::zeros(0, 0), sums);
-        }
+    /// Σ dN = -Σ NEN over the levels of each factor, by block of Σ, along an element of the Σ of one factor.
+    fn along_factor(&self, crossing: &Crossing, factor: usize, E: &Rows) -> Vec<Rows> {
+        let p = self.p;
+        let weights = self.dense.weights();
+        let mut sums = self.no_sums(crossing);
         let levels = || self.part.levels.iter().enumerate();
-        let block = |all: &DMatrix<f64>, row: usize, column: usize| {
-            Rows::from_fn(p, p, |i, k| all[(row * p + i, column * p + k)])
-        };
-        if let Some(factor) = crossing.factors.iter().position(|&own| own == element.level) {
-            let weights = self.dense.weights();
-            let own: Vec<usize> = levels().filter(|(_, level)| level.0 == factor).map(|(number, _)| number).collect();
-            for (number, (factor, _)) in levels() {
-                let sum = &mut sums[crossing.factors[*factor]];
-                for &level in &own {
-                    let N = block(weights, number, level);
-                    *sum = sum.clone().less(&N.times(E).times_transpose(&N));
-                }
+        let own: Vec<usize> = levels().filter(|(_, level)| level.0 == factor).map(|(number, _)| number).collect();
+        for (number, (factor, _)) in levels() {
+            let sum = &mut sums[crossing.factors[*factor]];
+            for &level in &own {
+                let N = Rows::from_fn(p, p, |i, k| weights[(number * p + i, level * p + k)]);
+                *sum = sum.clone().less(&N.times(E).times_transpose(&N));
             }
+        }
+        sums
+    }
+
+    /// A zero for each block of Σ.
+    fn no_sums(&self, crossing: &Crossing) -> Vec<Rows> {
+        vec![Rows::zeros(self.p, self.p); 1 + crossing.tree.len() + crossing.factors.len()]
+    }
+
+    /// dC and Σ dN over the levels of each factor, by block of Σ, from the derivatives of all units.
+    fn of_levels(&self, crossing: &Crossing, tangents: &[UnitTangent]) -> (DMatrix<f64>, Vec<Rows>) {
+        let (p, size) = (self.p, self.dense.K.nrows());
+        let mut sums = self.no_sums(crossing);
+        if size == 0 {
             return (DMatrix::zeros(0, 0), sums);
         }
         let mut dK = DMatrix::zeros(size, size);
         self.part.units.iter().zip(tangents).for_each(|(unit, tangent)| scatter(&tangent.K, unit, p, &mut dK));
         let rest = self.dense.rest();
         let left = rest * &dK;
-        for (number, (factor, _)) in levels() {
+        for (number, (factor, _)) in self.part.levels.iter().enumerate() {
             let rows = left.rows(number * p, p) * rest.rows(number * p, p).transpose();
             let sum = &mut sums[crossing.factors[*factor]];
             *sum = sum.clone().plus(&Rows::from_fn(p, p, |i, k| rows[(i, k)]));
@@ -126,7 +128,7 @@ impl PartAt<'_> {
     ) -> Vec<Rows> {
         let p = self.p;
         let dC = gathered(dC, unit, p);
-        let mut sums = vec![Rows::zeros(p, p); 1 + crossing.tree.len() + crossing.factors.len()];
+        let mut sums = self.no_sums(crossing);
         let last = unit.groups.len() - 1;
         let mut means: Vec<MeanTangent> = Vec::with_capacity(unit.groups.len());
         let followed = unit.groups.iter().enumerate().filter(|(_, group)| lowest.is_none_or(|kind| group.kind >= kind));
@@ -183,9 +185,9 @@ struct MeanTangent {
 
 impl MeanTangent {
     fn of(
-        (own, change): (&crate::levels::crossed::eliminated::EliminatedGroup, Option<&GroupTangent>),
-        weights: &crate::levels::crossed::weights::GroupWeights,
-        above: Option<(&crate::levels::crossed::weights::GroupWeights, &MeanTangent)>,
+        (own, change): (&EliminatedGroup, Option<&GroupTangent>),
+        weights: &GroupWeights,
+        above: Option<(&GroupWeights, &MeanTangent)>,
         (C, dC): (&Rows, &Rows),
     ) -> MeanTangent {
         let p = own.J.nrows();
@@ -252,12 +254,7 @@ fn upward(
 }
 
 impl GroupTangent {
-    fn of(
-        own: &crate::levels::crossed::eliminated::EliminatedGroup,
-        members: Option<&MembersTangent>,
-        E: Option<&Rows>,
-        K: &mut Rows,
-    ) -> GroupTangent {
+    fn of(own: &EliminatedGroup, members: Option<&MembersTangent>, E: Option<&Rows>, K: &mut Rows) -> GroupTangent {
         let (p, width) = (own.J.nrows(), own.HD.ncols());
         let zero = || Rows::zeros(p, p);
         let mut tangent =

@@ -111,7 +111,7 @@ impl DataColumns {
     }
 }
 
-/// What the sums over a part are computed from.
+/// Inputs of the sums over a part.
 struct Totals<'a> {
     units: &'a Units,
     crossing: &'a Crossing,

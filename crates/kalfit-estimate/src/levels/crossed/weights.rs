@@ -1,5 +1,5 @@
-//! What is known of the mean of each group and test given all measurements, and N = Z'PZ of each: what depends on
-//! designs alone.
+//! Posterior covariance of the mean of each group and test given all measurements, and N = Z'PZ of each. Both depend on
+//! designs and Σ alone.
 #![expect(non_snake_case, reason = "W, V, P, N, E are the letters of the theory")]
 
 use crate::levels::crossed::dense::{Dense, gathered};
