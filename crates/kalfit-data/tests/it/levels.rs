@@ -148,7 +148,7 @@ fn a_missing_group_is_refused() {
     assert_eq!(refused(&rows, &layout(TestKey::File)), refused(&rows, &by_run()));
     assert_snapshot!(refused(&[["", "1", ""]], &by_run()), @"
     standard input, row 2, column `lot`: found a missing cell, expected the group of the row's test at level `lot`
-    hint: every row needs the group of its test at every level of `levels` of `[data]`
+    hint: every row needs the group of its test in every column of `levels` and `crossed` of `[data]`
     ");
     assert_snapshot!(refused(&[["A", "1", ""]], &by_run()), @"
     standard input, row 2, column `run`: found a missing cell, expected the id of the row's test

@@ -76,11 +76,13 @@ fn per_words(per: &Option<String>) -> String {
 /// The tables of a model file that give values to elements; those of a phase or a level are named `mean[phase.state]`.
 fn tables(elements: &[String]) -> String {
     let part = |element: &String| Some(element.split_once('[')?.1.split_once('.')?.0.to_owned());
-    let part_with = |start: &str| elements.iter().filter(|element| element.starts_with(start)).find_map(part);
-    match (part_with("mean"), part_with("")) {
-        (Some(phase), _) => format!("`[phases.{phase}.mean]` and `[phases.{phase}.covariance]`"),
-        (None, Some(part)) => format!("`covariance` of `{part}`"),
-        (None, None) => "`[mean]` and `[covariance]`".to_owned(),
+    let phase = elements.iter().filter(|element| element.starts_with("mean")).find_map(part);
+    match phase {
+        Some(phase) => format!("`[phases.{phase}.mean]` and `[phases.{phase}.covariance]`"),
+        None if elements.iter().any(|element| part(element).is_some()) => {
+            "`[mean]`, `[covariance]` and the covariances of levels and factors".to_owned()
+        }
+        None => "`[mean]` and `[covariance]`".to_owned(),
     }
 }
 
