@@ -70,7 +70,7 @@ SECTIONS = (
     Section(
         "Results of a fit",
         "``kalfit.fit`` returns a ``Fit``. The other classes are its parts.",
-        ("Fit", "Phase", "Level", "Parameters", "Parameter", "Estimate", "TestFit", "GroupFit", "Labelled"),
+        ("Fit", "Phase", "Level", "Factor", "Parameters", "Parameter", "Estimate", "TestFit", "GroupFit", "Labelled"),
     ),
     Section("Models and tables", "", ("Model", "Table", "TableLike")),
     Section(
