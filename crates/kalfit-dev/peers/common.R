@@ -14,14 +14,16 @@ timed <- function(fit) {
   list(fitted = fitted, processor = sum(taken[1:2]), elapsed = taken[[3]])
 }
 
-# covariance: the lower triangle by rows; noise: a standard deviation, or none
-say <- function(package, run, log_likelihood, mean, covariance, noise = NULL) {
+# covariance: the lower triangle by rows; noise: a standard deviation, or none; groups: covariances of factors and units
+say <- function(package, run, log_likelihood, mean, covariance, noise = NULL, groups = NULL) {
+  triangle <- function(covariance) as.numeric(covariance[upper.tri(covariance, diag = TRUE)])
   line <- function(key, values) cat(key, format(values, digits = 17, trim = TRUE), "\n")
   cat("version", package, as.character(packageVersion(package)), "\n")
   line("log_likelihood", as.numeric(log_likelihood))
   line("mean", as.numeric(mean))
-  line("covariance", as.numeric(covariance[upper.tri(covariance, diag = TRUE)]))
+  line("covariance", triangle(covariance))
   if (!is.null(noise)) line("noise", as.numeric(noise))
+  if (!is.null(groups)) line("groups", unlist(lapply(groups, triangle)))
   line("processor", run$processor)
   line("elapsed", run$elapsed)
 }

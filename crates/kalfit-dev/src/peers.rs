@@ -29,7 +29,8 @@ use whole::KalfitCommand;
 
 use crate::places;
 
-/// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked.
+/// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked, but for the last row,
+/// which takes lme4 seven minutes.
 const FITS: &[(PeerStudy, usize, &[Peer])] = &[
     (PeerStudy::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
     (PeerStudy::Regression, 10_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
@@ -37,6 +38,9 @@ const FITS: &[(PeerStudy, usize, &[Peer])] = &[
     (PeerStudy::Meta, 200, &[peer::METAFOR_DENSE, peer::METAFOR_SPARSE]),
     (PeerStudy::Meta, 400, &[peer::METAFOR_DENSE]),
     (PeerStudy::Meta, 1_000, &[peer::METAFOR_SPARSE]),
+    (PeerStudy::Crossed, 1_000, &[peer::LME4_CROSSED]),
+    (PeerStudy::Crossed, 10_000, &[peer::LME4_CROSSED]),
+    (PeerStudy::Crossed, 100_000, &[peer::LME4_CROSSED]),
 ];
 
 /// Values of the likelihood of ensembles, with one design for all tests or not.

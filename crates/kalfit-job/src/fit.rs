@@ -27,19 +27,13 @@ const CUT_SHORT: &str = "it was interrupted after it had converged: other starts
 /// Said where the list of tests is empty.
 const NO_TESTS: &str = "what each test says was not asked for";
 
-/// Refuses what needs independent tests, or laws of few of them, where groups of tests cross.
+/// Refuses what needs independent tests where groups of tests cross.
 fn refuse_with_factors(job: &FitJob, spec: &Spec) -> Result<(), Failure> {
     let refuse = |what, hint| model::refuse_crossed(spec, what, hint);
     if job.choices.std_errors == StdErrors::Sandwich {
         refuse(
             "sandwich standard errors are not computed",
             "they take scores of independent tests; leave the option out",
-        )?;
-    }
-    if matches!(job.choices.df, DfChoice::KenwardRoger | DfChoice::Satterthwaite) {
-        refuse(
-            "degrees of freedom of few tests are not computed",
-            "leave `--df` out; `--intervals profile` has profiles",
         )?;
     }
     if job.tables.rows.is_some() {

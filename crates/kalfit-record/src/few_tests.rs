@@ -80,7 +80,6 @@ fn words(reason: NoDf) -> &'static str {
         NoDf::NotCertified => "the search did not end at a certified maximum",
         NoDf::Remote => "only sums over the tests are known",
         NoDf::Exact => "some tests measure a combination of states without noise",
-        NoDf::Crossed => "groups of tests cross",
         NoDf::ZeroDeviation => "a standard deviation with given correlations is zero",
         NoDf::Parameters => {
             "free parameters that are no variances of noise, and that are given for each test, filtered by a suboptimal filter, or hardly determined"

@@ -1,6 +1,7 @@
 //! Whether two programs found the same: before that is sure, no times are compared.
 
 use kalfit::FitRecord;
+use kalfit::record::CovarianceRecord;
 
 use super::answer::PeerAnswer;
 
@@ -28,17 +29,28 @@ fn allowed(log_likelihood: f64) -> f64 {
 /// Largest difference of an estimate, in its standard errors.
 const STANDARD_ERRORS: f64 = 0.05;
 
+/// The lower triangle of a covariance by rows, each element with its standard error.
+fn triangle(covariance: &CovarianceRecord) -> impl Iterator<Item = (f64, Option<f64>)> {
+    let places = (0..covariance.estimate.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
+    places.map(|(i, j)| (covariance.estimate[i][j], covariance.std_error[i][j]))
+}
+
 impl KalfitAnswer {
-    /// Mean and covariance of the only phase, and the parameters, all of which must be free.
+    /// Mean and covariance of the only phase, the parameters, all of which must be free, and the covariances of crossed
+    /// factors and of levels of groups.
     pub(super) fn of(record: &FitRecord) -> Result<KalfitAnswer, String> {
         let [phase] = &record.phases[..] else { return Err("the fit has more than one phase".to_owned()) };
         let (mean, covariance) = (&phase.mean, &phase.covariance);
         let mean = mean.estimate.iter().copied().zip(mean.std_error.iter().copied());
-        let triangle = (0..phase.states.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
-        let covariance = triangle.map(|(i, j)| (covariance.estimate[i][j], covariance.std_error[i][j]));
+        let covariance = triangle(covariance);
         let parameters = record.parameters.iter().map(|parameter| (parameter.estimate, parameter.std_error));
         let with_error = |(estimate, error): (f64, Option<f64>)| Some((estimate, error?));
-        let estimates: Option<Vec<(f64, f64)>> = mean.chain(covariance).chain(parameters).map(with_error).collect();
+        // the last level is that of the tests, whose covariance is that of the phase
+        let outer = record.levels.split_last().map_or(&[][..], |(_, outer)| outer);
+        let factors = record.crossed.iter().map(|factor| &factor.level);
+        let groups = factors.chain(outer).flat_map(|level| triangle(&level.covariance));
+        let all = mean.chain(covariance).chain(parameters).chain(groups);
+        let estimates: Option<Vec<(f64, f64)>> = all.map(with_error).collect();
         let estimates = estimates.ok_or("an estimate of kalfit's has no standard error")?;
         Ok(KalfitAnswer { log_likelihood: record.log_likelihood, estimates })
     }

@@ -8,7 +8,8 @@ pub(crate) struct PeerAnswer {
     /// Name and version.
     pub(crate) program: String,
     pub(crate) log_likelihood: f64,
-    /// Mean, lower triangle of the covariance by rows, standard deviation of the noise; none where only a value was asked for.
+    /// Mean, lower triangle of the covariance by rows, standard deviation of the noise, lower triangles of the covariances
+    /// of crossed factors and of units; none where only a value was asked for.
     pub(crate) estimates: Vec<f64>,
     pub(crate) taken: TimeTaken,
 }
@@ -18,7 +19,7 @@ impl PeerAnswer {
     pub(super) fn parse(text: &str) -> Result<PeerAnswer, String> {
         let program = line(text, "version")?.ok_or("no line `version`")?.join(" ");
         let mut estimates = Vec::new();
-        for key in ["mean", "covariance", "noise"] {
+        for key in ["mean", "covariance", "noise", "groups"] {
             estimates.extend(numbers(text, key)?);
         }
         Ok(PeerAnswer {

@@ -45,6 +45,7 @@ const fn python(name: &'static str, what: &'static str, script: &'static str, in
 const METAFOR: Peer = r("metafor", "`rma.mv`", "metafor.R", "apt install r-cran-metafor");
 
 pub(super) const LME4: Peer = r("lme4", "`lmer`", "lme4.R", "apt install r-cran-lme4");
+pub(super) const LME4_CROSSED: Peer = Peer { script: "lme4_crossed.R", ..LME4 };
 pub(super) const NLME: Peer = r("nlme", "`lme`", "nlme.R", "apt install r-cran-nlme");
 pub(super) const OPENMX: Peer = r("OpenMx", "RAM", "openmx.R", "apt install r-cran-openmx");
 pub(super) const METAFOR_DENSE: Peer = Peer { arguments: &["dense"], ..METAFOR };
@@ -132,8 +133,9 @@ fn last_lines(text: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    const ALL: [Peer; 11] = [
+    const ALL: [Peer; 12] = [
         LME4,
+        LME4_CROSSED,
         NLME,
         OPENMX,
         METAFOR_DENSE,

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::small_sample::border::Border;
 use crate::small_sample::differences::VarianceSlopes;
+use crate::small_sample::effects::CrossedEffects;
 use crate::small_sample::exported::user_theta;
 use crate::small_sample::face::Face;
 use crate::small_sample::forest::{Forest, Leaf};
@@ -39,17 +40,19 @@ pub(super) fn small_sample(
     }
     let noise = noise()?;
     let noises = noise.as_ref().map_or(0, VarianceSlopes::len);
-    let theta = Theta::of(state, noises).ok_or(NoDf::ZeroDeviation)?;
+    let p = state.structure().reduced_dimension();
+    let effects = estimate.grouping().and_then(|grouping| CrossedEffects::of(grouping, p));
+    let theta = Theta::of(state, noises, effects.as_ref()).ok_or(NoDf::ZeroDeviation)?;
     let moves = noise.as_ref().is_some_and(|noise| !noise.variances.linear);
-    let border = Border::of(&state.problem, state.structure().reduced_dimension(), moves);
+    let roots = roots(state, p, effects.as_ref());
+    let border = Border::of(&state.problem, p, effects, moves);
     let forest = forest(state, reductions, &border, noise.as_ref()).ok_or(NoDf::Parameters)?;
     if multiplications(&forest, &theta) > MOST_MULTIPLICATIONS {
         return Err(NoDf::Size);
     }
-    let roots = roots(state, border.states());
-    let pass = Pass { forest: &forest, theta: &theta, roots: &roots };
+    let pass = Pass::of(&forest, &theta, &roots).ok_or(NoDf::NotFinite)?;
     let totals = pass.totals().ok_or(NoDf::NotFinite)?;
-    let mean = MeanSums::of(&totals, border.states(), border.means());
+    let mean = MeanSums::of(&totals, pass.first_mean(), border.means());
     let law = law(&pass, &mean, (choice, moves))?;
     let (units, mean_map) = (state.problem.mean_units(), &state.problem.mean);
     let jacobian = mean_map.centring.uncentred(&mean_map.jacobian());
@@ -73,7 +76,7 @@ fn law(pass: &Pass<'_>, mean: &MeanSums, (choice, moves): (DfChoice, bool)) -> R
         return Ok(MeanLaw::satterthwaite(mean, theta));
     }
     let bent = pass.contracted(&theta.covariance).ok_or(NoDf::NotFinite)?;
-    let (first, q) = (pass.roots[0].nrows(), mean.covariance.nrows());
+    let (first, q) = (pass.first_mean(), mean.covariance.nrows());
     Ok(MeanLaw::kenward_roger(mean, theta, &bent.view((first, first), (q, q)).into_owned()))
 }
 
@@ -97,18 +100,24 @@ fn forest(
         Some(grouping) => (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect::<Option<_>>()?,
         None => Vec::new(),
     };
-    Some(Forest::of(leaves?, grouping.as_deref().map(|grouping| (grouping, &numbers[..]))))
+    let forest = Forest::of(leaves?, grouping.as_deref().map(|grouping| (grouping, &numbers[..])));
+    Some(Forest { crossed: border.effects(), ..forest })
 }
 
-/// F of each level, p × p.
-fn roots(state: &FinalState, p: usize) -> Vec<DMatrix<f64>> {
+/// F of each level, p × p, then that of all effects of crossed factors, M × M.
+fn roots(state: &FinalState, p: usize, effects: Option<&CrossedEffects>) -> Vec<DMatrix<f64>> {
     let (root, scale) = (&state.newton_iterate.point.root, &state.problem.classes.frame.scale);
     let levels = root.nrows() / p.max(1);
     let of = |level: usize| {
         let start = level * p;
         DMatrix::from_fn(p, root.ncols(), |i, c| root[(start + i, c)] * scale[start + i] / scale[i])
     };
-    (0..levels).map(of).collect()
+    let mut roots: Vec<DMatrix<f64>> = (0..levels).map(of).collect();
+    if let Some(effects) = effects {
+        let of_factors = roots.split_off(effects.first_block());
+        roots.push(effects.root(&of_factors));
+    }
+    roots
 }
 
 /// Multiplications of all passes, roughly.
@@ -118,5 +127,7 @@ fn multiplications(forest: &Forest, theta: &Theta) -> f64 {
         let (below, own) = (theta.first(level) as f64, theta.levels[level].len() as f64);
         (own + below * (3.0 * width + below)) * width * width + 8.0 * own * (own + below)
     };
-    forest.evaluations().into_iter().enumerate().map(|(level, count)| count as f64 * of_level(level)).sum()
+    let of_factors = if forest.crossed > 0 { of_level(forest.levels.len() + 1) } else { 0.0 };
+    let of_levels = forest.evaluations().into_iter().enumerate().map(|(level, count)| count as f64 * of_level(level));
+    of_levels.sum::<f64>() + of_factors
 }

@@ -2,10 +2,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::small_sample::effects::CrossedEffects;
 use kalfit_estimate::Problem;
 use kalfit_filter::reduce::Reductions;
 
-/// Coordinates of the border: T = [I X] of a test, with μ = m0 + Xβ and β the free coordinates of the mean in η.
+/// Coordinates of the border: T = [I E X] of a test, with E of the effects of crossed factors, where there are any, and
+/// μ = m0 + Xβ with β the free coordinates of the mean in η.
 pub(super) struct Border<'a> {
     /// Scale and centre of the p states of a test.
     scale: &'a [f64],
@@ -18,13 +20,15 @@ pub(super) struct Border<'a> {
     basis: DMatrix<f64>,
     /// m0 in η.
     offset: DVector<f64>,
+    /// The effects of crossed factors, whose columns stand between the states and the mean.
+    effects: Option<CrossedEffects>,
     /// Whether the last row and column hold the data.
     with_data: bool,
 }
 
 impl<'a> Border<'a> {
     /// The border of tests with `p` states each.
-    pub(super) fn of(problem: &'a Problem, p: usize, with_data: bool) -> Border<'a> {
+    pub(super) fn of(problem: &'a Problem, p: usize, effects: Option<CrossedEffects>, with_data: bool) -> Border<'a> {
         let (frame, mean) = (&problem.classes.frame, &problem.mean);
         Border {
             scale: &frame.scale[..p],
@@ -34,13 +38,19 @@ impl<'a> Border<'a> {
             regressors: &mean.regressors,
             basis: mean.basis.rows(0, p).into_owned(),
             offset: mean.offset.rows(0, p).into_owned(),
+            effects,
             with_data,
         }
     }
 
-    /// p, the number of states of a test, and the row of the mean's first coordinate.
+    /// p, the number of states of a test.
     pub(super) fn states(&self) -> usize {
         self.scale.len()
+    }
+
+    /// M, the number of effects of crossed factors.
+    pub(super) fn effects(&self) -> usize {
+        self.effects.as_ref().map_or(0, CrossedEffects::len)
     }
 
     /// q, the number of free coordinates of the mean.
@@ -48,26 +58,33 @@ impl<'a> Border<'a> {
         self.basis.ncols() + self.regressors.len()
     }
 
-    /// K of a test; `None` where the data are needed and the sum of squares of the test is unknown.
+    /// K of a test; `None` where the data are needed and the sum of squares of the test is unknown, or the groups of the
+    /// test are.
     pub(super) fn of_test(&self, reductions: &Reductions, j: usize) -> Option<DMatrix<f64>> {
         let (p, fixed) = (self.states(), self.basis.ncols());
+        let first = p + self.effects();
         let (packed, covariates) = (reductions.factor(j), reductions.covariates(j));
         let factor =
             DMatrix::from_fn(p, p, |i, k| if i <= k { packed[i + k * (k + 1) / 2] * self.scale[k] } else { 0.0 });
-        let mut all = DMatrix::zeros(p, p + self.means() + usize::from(self.with_data));
-        all.columns_mut(p, fixed).copy_from(&(&factor * &self.basis));
+        let mut all = DMatrix::zeros(p, first + self.means() + usize::from(self.with_data));
+        all.columns_mut(first, fixed).copy_from(&(&factor * &self.basis));
         for (c, (&i, scale)) in self.regressors.iter().zip(self.covariate_scale).enumerate() {
             let covariate = (covariates[c] - self.covariate_centre[c]) / scale;
-            all.set_column(p + fixed + c, &(factor.column(i) * covariate));
+            all.set_column(first + fixed + c, &(factor.column(i) * covariate));
         }
         let mut squares = 0.0;
         if self.with_data {
             let centre = DVector::from_fn(p, |i, _| self.centre[i] / self.scale[i]) + &self.offset;
             let data = DVector::from_column_slice(&reductions.data(j)[..p]) - &factor * centre;
-            all.set_column(p + self.means(), &data);
+            all.set_column(first + self.means(), &data);
             squares = reductions.residual(j).0?;
         }
         all.columns_mut(0, p).copy_from(&factor);
+        if let Some(effects) = &self.effects {
+            for own in effects.met_by(reductions.id(j))? {
+                all.columns_mut(p + own.start, p).copy_from(&factor);
+            }
+        }
         let mut k = all.transpose() * &all;
         if self.with_data {
             let last = k.nrows() - 1;

@@ -45,10 +45,12 @@ pub(super) struct Forest {
     pub(super) levels: Vec<Vec<Members>>,
     /// The units: (class of the outermost level, or of tests where there are no groups; number of units).
     pub(super) units: Members,
+    /// Number of effects of crossed factors, whose columns follow those of the states.
+    pub(super) crossed: usize,
 }
 
 impl Forest {
-    /// The classes of tests, given in any order with the number of each in `grouping`.
+    /// The classes of tests, given in any order with the number of each in `grouping`, by its nested levels.
     pub(super) fn of(tests: Vec<Leaf>, grouping: Option<(&Grouping, &[usize])>) -> Forest {
         let mut order: Vec<usize> = (0..tests.len()).collect();
         order.sort_by(|&a, &b| tests[a].compare(&tests[b]));
@@ -62,13 +64,13 @@ impl Forest {
         let mut tests: Vec<Option<Leaf>> = tests.into_iter().map(Some).collect();
         let leaves = classes.into_iter().filter_map(|j| tests[j].take()).collect();
         let mut levels = Vec::new();
-        let Some((grouping, numbers)) = grouping else {
-            return Forest { leaves, levels, units: counted(class_of) };
+        let Some((grouping, numbers)) = grouping.filter(|(grouping, _)| grouping.nested() > 0) else {
+            return Forest { leaves, levels, units: counted(class_of), crossed: 0 };
         };
         // (index of the group, class of the member) at the level in work
         let mut below: Vec<(usize, usize)> =
             class_of.iter().zip(numbers).map(|(&class, &number)| (grouping.group_of(number, 0), class)).collect();
-        for level in 0..grouping.depth() {
+        for level in 0..grouping.nested() {
             let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
             below.iter().for_each(|&(group, class)| members.entry(group).or_default().push(class));
             let groups: Vec<(usize, Members)> =
@@ -81,7 +83,8 @@ impl Forest {
             below = groups.iter().map(|(group, members)| (parent(*group), class(members))).collect();
             levels.push(kinds);
         }
-        Forest { leaves, levels, units: counted(below.into_iter().map(|(_, class)| class).collect()) }
+        let units = counted(below.into_iter().map(|(_, class)| class).collect());
+        Forest { leaves, levels, units, crossed: 0 }
     }
 
     /// Width of the bordered matrices.

@@ -97,7 +97,7 @@ impl ThetaLaw {
     /// The inverse of an information over the free directions; `None` where the information is not positive
     /// semidefinite.
     pub(super) fn of(pass: &Pass<'_>, information: &DMatrix<f64>) -> Option<ThetaLaw> {
-        let width = pass.forest.width();
+        let width = pass.width();
         let directions = &pass.theta.directions;
         let along = |matrix: &DMatrix<f64>| directions.transpose() * matrix * directions;
         let known_mean = along(&(pass.curvature(&DMatrix::zeros(width, width))? * -0.5));

@@ -14,6 +14,7 @@ mod assembled;
 mod border;
 mod differences;
 mod each_mean;
+mod effects;
 mod exported;
 mod face;
 mod forest;
@@ -35,6 +36,7 @@ use crate::small_sample::face::Face;
 use crate::small_sample::mean_law::MeanLaw;
 use kalfit_estimate::{Criterion, Estimate};
 use kalfit_filter::reduce::Reductions;
+use kalfit_model::Grouping;
 
 use differences::VarianceSlopes;
 pub(crate) use differences::slopes;
@@ -68,6 +70,12 @@ pub enum DfChoice {
     None,
 }
 
+/// Number of groups of the outermost nested level, or of the crossed factor with fewest groups.
+fn fewest(grouping: &Grouping) -> usize {
+    let outermost = grouping.nested().saturating_sub(1);
+    (outermost..grouping.depth()).map(|level| grouping.groups(level).len()).min().unwrap_or(0)
+}
+
 /// Why there are no degrees of freedom.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoDf {
@@ -77,8 +85,6 @@ pub enum NoDf {
     Remote,
     /// Some tests measure a combination of states exactly.
     Exact,
-    /// Groups of tests cross.
-    Crossed,
     /// A standard deviation whose correlations are given is zero.
     ZeroDeviation,
     /// Free parameters move more than variances of noise, and their information is not positive definite.
@@ -156,7 +162,8 @@ pub struct SmallSample {
 
 impl SmallSample {
     /// Small-sample inference where α is known; `None` under maximum likelihood, where none was asked for, where no mean is
-    /// free, and for more than 5000 independent tests or units, to which the laws of many tests apply.
+    /// free, and for more than 5000 independent tests or units, and groups of each crossed factor, to which the laws of
+    /// many tests apply.
     pub fn of(estimate: &Estimate, reductions: &Reductions, choice: DfChoice) -> Option<Result<SmallSample, NoDf>> {
         SmallSample::with_parameters(estimate, reductions, choice, &|| Ok(None))
     }
@@ -171,11 +178,7 @@ impl SmallSample {
         if estimate.criterion == Criterion::Ml || choice == DfChoice::None || estimate.declared_mean() == 0 {
             return None;
         }
-        if estimate.grouping().is_some_and(|grouping| grouping.is_crossed()) {
-            return Some(Err(NoDf::Crossed));
-        }
-        let outermost = estimate.grouping().map(|grouping| grouping.groups(grouping.depth() - 1).len());
-        if outermost.unwrap_or(reductions.len()) > MANY_UNITS {
+        if estimate.grouping().map_or(reductions.len(), |grouping| fewest(grouping)) > MANY_UNITS {
             return None;
         }
         Some(assembled::small_sample(estimate, reductions, choice, noise))

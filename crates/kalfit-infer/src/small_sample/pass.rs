@@ -18,8 +18,10 @@ const UNITS_PER_TASK: usize = 32;
 pub(super) struct Pass<'a> {
     pub(super) forest: &'a Forest,
     pub(super) theta: &'a Theta,
-    /// F of the Σ = FF' of each level, p × p, the level of the tests first.
-    pub(super) roots: &'a [DMatrix<f64>],
+    /// F of the Σ = FF' of each level, p × p, the level of the tests first, and of all effects of crossed factors.
+    roots: &'a [DMatrix<f64>],
+    /// All units together, before the map of the effects of crossed factors; without the columns of the states.
+    crossed: Option<Evaluated<'a>>,
 }
 
 /// A test or a group at the law, before the map of its level.
@@ -41,8 +43,52 @@ pub(super) struct Totals {
 }
 
 impl<'a> Pass<'a> {
-    /// K and K_a over all units; `None` where numbers are not finite.
+    /// The units under the law with these roots; `None` where numbers are not finite.
+    pub(super) fn of(forest: &'a Forest, theta: &'a Theta, roots: &'a [DMatrix<f64>]) -> Option<Pass<'a>> {
+        let mut pass = Pass { forest, theta, roots, crossed: None };
+        if forest.crossed > 0 {
+            let of_units = pass.totals()?;
+            let slopes = of_units.slopes[..theta.first(pass.factors())].iter().map(|slope| pass.below_states(slope));
+            let (k, slopes) = (pass.below_states(&of_units.k), slopes.collect());
+            pass.crossed = Some(pass.mapped(pass.factors(), &k, slopes)?);
+        }
+        Some(pass)
+    }
+
+    /// The level of all crossed factors, after those of the units.
+    fn factors(&self) -> usize {
+        self.forest.levels.len() + 1
+    }
+
+    /// Row of the first coordinate of the mean in the sums over all units.
+    pub(super) fn first_mean(&self) -> usize {
+        if self.crossed.is_some() { self.forest.crossed } else { self.roots[0].nrows() }
+    }
+
+    /// Width of the sums over all units.
+    pub(super) fn width(&self) -> usize {
+        self.crossed.as_ref().map_or(self.forest.width(), |class| class.map.w.nrows())
+    }
+
+    /// A matrix without the rows and columns of the states of a test.
+    fn below_states(&self, k: &DMatrix<f64>) -> DMatrix<f64> {
+        let p = self.roots[0].nrows();
+        k.view_range(p.., p..).into_owned()
+    }
+
+    /// A matrix with zeros for the states of a test before it.
+    fn with_states(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
+        let (p, n) = (self.roots[0].nrows(), y.nrows());
+        let mut all = DMatrix::zeros(p + n, p + n);
+        all.view_mut((p, p), (n, n)).copy_from(y);
+        all
+    }
+
+    /// K and K_a over all units, with the effects of crossed factors integrated out; `None` where numbers are not finite.
     pub(super) fn totals(&self) -> Option<Totals> {
+        if let Some(class) = &self.crossed {
+            return Some(Totals { k: class.map.w.clone(), slopes: class.mapped.clone() });
+        }
         let (width, n) = (self.forest.width(), self.theta.len());
         let zero = || Totals { k: DMatrix::zeros(width, width), slopes: vec![DMatrix::zeros(width, width); n] };
         self.over_units(&zero, &|totals: &mut Totals, unit, count| {
@@ -63,11 +109,17 @@ impl<'a> Pass<'a> {
     /// ∂²(λ + tr(YW))/∂θ_a∂θ_b over all units with Y constant, W the bordered matrix of a unit; θ × θ.
     pub(super) fn curvature(&self, y: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let n = self.theta.len();
+        let mut whole = DMatrix::zeros(n, n);
+        let mut of_units = y.clone();
+        if let Some(class) = &self.crossed {
+            self.add_curvature(class, y, 1.0, &mut whole);
+            of_units = self.with_states(&class.map.adjoint(y));
+        }
         let parts = self.over_units(&|| DMatrix::zeros(n, n), &|sum: &mut DMatrix<f64>, unit, count| {
-            self.add_curvature(&self.evaluated(self.forest.levels.len(), unit)?, y, count, sum);
+            self.add_curvature(&self.evaluated(self.forest.levels.len(), unit)?, &of_units, count, sum);
             Some(())
         })?;
-        let mut whole = parts.into_iter().fold(DMatrix::zeros(n, n), |sum, part| sum + part);
+        whole = parts.into_iter().fold(whole, |sum, part| sum + part);
         whole.fill_upper_triangle_with_lower_triangle();
         Some(whole)
     }
@@ -80,7 +132,11 @@ impl<'a> Pass<'a> {
             *sum += self.bent(&self.evaluated(self.forest.levels.len(), unit)?, v) * count;
             Some(())
         })?;
-        Some(parts.into_iter().fold(zero(), |sum, part| sum + part))
+        let whole = parts.into_iter().fold(zero(), |sum, part| sum + part);
+        Some(match &self.crossed {
+            Some(class) => self.bent_by_map(class, v, self.below_states(&whole)),
+            None => whole,
+        })
     }
 
     /// Parts of a sum over the classes of units, divided in the same way for any number of threads.
@@ -116,10 +172,15 @@ impl<'a> Pass<'a> {
             }
             (members, None, k, slopes)
         };
-        let map = LevelMap::of(&k, &self.roots[level])?;
+        Some(Evaluated { members, leaf, ..self.mapped(level, &k, slopes)? })
+    }
+
+    /// K and K_a through the map of a level.
+    fn mapped(&self, level: usize, k: &DMatrix<f64>, slopes: Vec<DMatrix<f64>>) -> Option<Evaluated<'a>> {
+        let map = LevelMap::of(k, &self.roots[level])?;
         let mut mapped: Vec<DMatrix<f64>> = slopes.iter().map(|slope| map.turned(slope)).collect();
         mapped.extend(self.theta.levels[level].iter().map(|element| -element.within(&map.w)));
-        Some(Evaluated { map, slopes, mapped, members, leaf, level })
+        Some(Evaluated { map, slopes, mapped, members: Vec::new(), leaf: None, level })
     }
 
     /// Adds the second derivatives of a class to the lower triangle of `sum`; `y` is the derivative by W of the class.
@@ -148,7 +209,7 @@ impl<'a> Pass<'a> {
         let rest = &g - w;
         for (a, element) in own.iter().enumerate() {
             for (b, other) in own[..=a].iter().enumerate() {
-                let found = element.trace_with(w, *other, &rest) + element.trace_with(&g, *other, w);
+                let found = element.trace_with(w, other, &rest) + element.trace_with(&g, other, w);
                 sum[(first + a, first + b)] += count * found;
             }
         }
@@ -165,9 +226,7 @@ impl<'a> Pass<'a> {
 
     /// Σ_ab V_ab W_ab of a class.
     fn bent(&self, class: &Evaluated<'_>, v: &DMatrix<f64>) -> DMatrix<f64> {
-        let LevelMap { w, p, .. } = &class.map;
-        let (first, own) = (self.theta.first(class.level), &self.theta.levels[class.level]);
-        let (width, states) = (w.nrows(), p.nrows());
+        let width = class.map.w.nrows();
         let mut k = DMatrix::zeros(width, width);
         for (member, count) in &class.members {
             k += self.bent(member, v) * *count;
@@ -177,6 +236,14 @@ impl<'a> Pass<'a> {
                 k += &leaf.curvatures[pair(a, b)] * v[(a, b)];
             }
         }
+        self.bent_by_map(class, v, k)
+    }
+
+    /// Σ_ab V_ab W_ab of a class from `k` = Σ_ab V_ab K_ab.
+    fn bent_by_map(&self, class: &Evaluated<'_>, v: &DMatrix<f64>, mut k: DMatrix<f64>) -> DMatrix<f64> {
+        let LevelMap { w, p, .. } = &class.map;
+        let (first, own) = (self.theta.first(class.level), &self.theta.levels[class.level]);
+        let (width, states) = (w.nrows(), p.nrows());
         let mut crossed = DMatrix::zeros(width, width); // Σ_a V_a (Σ_b V_ab S_b) W
         for (a, slope) in class.slopes.iter().enumerate() {
             let mut along = DMatrix::zeros(width, width);

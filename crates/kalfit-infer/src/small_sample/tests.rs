@@ -18,16 +18,26 @@ fn close(what: &str, found: &DMatrix<f64>, expected: &DMatrix<f64>, tolerance: f
 
 #[test]
 fn derivatives_and_laws_are_those_of_the_joint_gaussian() {
-    for (seed, (depth, p, regressors)) in
-        [(0, 1, 0), (0, 2, 1), (0, 3, 2), (1, 1, 1), (1, 2, 2), (2, 2, 1)].into_iter().enumerate()
-    {
+    let shapes = [
+        (0, 0, 1, 0),
+        (0, 0, 2, 1),
+        (0, 0, 3, 2),
+        (1, 0, 1, 1),
+        (1, 0, 2, 2),
+        (2, 0, 2, 1),
+        (0, 1, 1, 0),
+        (0, 2, 2, 1),
+        (1, 1, 2, 1),
+        (2, 2, 1, 1),
+    ];
+    for (seed, (depth, factors, p, regressors)) in shapes.into_iter().enumerate() {
         for rank in p - 1..=p {
-            let shape = Shape { depth, p, regressors, rank };
+            let shape = Shape { depth, factors, p, regressors, rank };
             let dense = Dense::drawn(shape, seed as u64);
             let (forest, theta, roots) = dense.forest();
-            let pass = Pass { forest: &forest, theta: &theta, roots: &roots };
+            let pass = Pass::of(&forest, &theta, &roots).expect("finite");
             let totals = pass.totals().expect("finite");
-            let mean = MeanSums::of(&totals, p, dense.means());
+            let mean = MeanSums::of(&totals, pass.first_mean(), dense.means());
             close("C", &mean.covariance, &dense.c(), 1e-10);
             for a in 0..theta.len() {
                 close("M_a", &mean.slopes[a], &dense.m(a), 1e-10);
@@ -42,8 +52,8 @@ fn derivatives_and_laws_are_those_of_the_joint_gaussian() {
             let law = ThetaLaw::of(&pass, &expected).expect("a law");
             close("V", &law.covariance, &inverse, 1e-6);
             let bent = pass.contracted(&law.covariance).expect("finite");
-            let q = dense.means();
-            let law = MeanLaw::kenward_roger(&mean, law, &bent.view((p, p), (q, q)).into_owned());
+            let (first, q) = (pass.first_mean(), dense.means());
+            let law = MeanLaw::kenward_roger(&mean, law, &bent.view((first, first), (q, q)).into_owned());
             close("C_A", &law.adjusted, &dense.adjusted(&inverse), 1e-9);
         }
     }
@@ -51,13 +61,13 @@ fn derivatives_and_laws_are_those_of_the_joint_gaussian() {
 
 #[test]
 fn equal_designs_are_evaluated_once_in_any_order() {
-    let shape = Shape { depth: 1, p: 2, regressors: 1, rank: 2 };
+    let shape = Shape { depth: 1, factors: 0, p: 2, regressors: 1, rank: 2 };
     let dense = Dense::drawn(shape, 3);
     let (forest, theta, roots) = dense.forest();
     let reversed = dense.reversed();
     let (other, ..) = reversed.forest();
     let of = |forest: &crate::small_sample::forest::Forest| {
-        let pass = Pass { forest, theta: &theta, roots: &roots };
+        let pass = Pass::of(forest, &theta, &roots).expect("finite");
         let mean = MeanSums::of(&pass.totals().expect("finite"), 2, dense.means());
         information::expected(&pass, &mean).expect("finite")
     };
@@ -73,7 +83,7 @@ fn balanced_tests_give_students_t_and_hotellings_t_squared() {
     let n = 7;
     let equal = Dense::balanced(n);
     let (forest, theta, roots) = equal.forest_without_data();
-    let pass = Pass { forest: &forest, theta: &theta, roots: &roots };
+    let pass = Pass::of(&forest, &theta, &roots).expect("finite");
     let mean = MeanSums::of(&pass.totals().expect("finite"), 2, 2);
     let law = ThetaLaw::of(&pass, &information::expected(&pass, &mean).expect("finite")).expect("a law");
     let bent = pass.contracted(&law.covariance).expect("finite").view((2, 2), (2, 2)).into_owned();

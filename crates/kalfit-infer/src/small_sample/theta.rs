@@ -1,55 +1,63 @@
 //! θ, the parameters of the covariance of the data: free variances of noise first, then the elements of Σ of each level
 //! that may move.
 
+use std::sync::Arc;
+
 use nalgebra::DMatrix;
 
 use kalfit_estimate::{CovarianceMap, FinalState};
 
-/// An element σ_ij of the Σ of a level, by the states of a test; S = `unit` × (e_i e_j' + e_j e_i'), once for i = j.
-#[derive(Debug, Clone, Copy, PartialEq)]
+use crate::small_sample::effects::CrossedEffects;
+
+/// An element σ_ij of the Σ of a level, by the states of a test; S = `unit` × (e_i e_j' + e_j e_i'), once for i = j, in
+/// each block of the matrix that repeats Σ.
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct SigmaElement {
     pub(super) i: usize,
     pub(super) j: usize,
     /// Factor from the coordinates of the level to those of a test.
     pub(super) unit: f64,
+    /// First row of each block with Σ: one for a level, one for each group of a crossed factor.
+    pub(super) blocks: Arc<[usize]>,
 }
 
 impl SigmaElement {
     /// The positions (row, column) of the element.
-    pub(super) fn positions(self) -> impl Iterator<Item = (usize, usize)> + Clone {
-        let second = (self.i != self.j).then_some((self.j, self.i));
-        std::iter::once((self.i, self.j)).chain(second)
+    pub(super) fn positions(&self) -> impl Iterator<Item = (usize, usize)> + Clone {
+        let (i, j) = (self.i, self.j);
+        let of_block = move |&at: &usize| {
+            let second = (i != j).then_some((at + j, at + i));
+            std::iter::once((at + i, at + j)).chain(second)
+        };
+        self.blocks.iter().flat_map(of_block)
     }
 
     /// tr(SX).
-    pub(super) fn trace(self, x: &DMatrix<f64>) -> f64 {
+    pub(super) fn trace(&self, x: &DMatrix<f64>) -> f64 {
         self.unit * self.positions().map(|(r, c)| x[(c, r)]).sum::<f64>()
     }
 
     /// tr(S X T Y) with T of another element; X and Y symmetric.
-    pub(super) fn trace_with(self, x: &DMatrix<f64>, other: SigmaElement, y: &DMatrix<f64>) -> f64 {
+    pub(super) fn trace_with(&self, x: &DMatrix<f64>, other: &SigmaElement, y: &DMatrix<f64>) -> f64 {
         let of = |(r, s): (usize, usize)| other.positions().map(|(t, u)| x[(s, t)] * y[(u, r)]).sum::<f64>();
         self.unit * other.unit * self.positions().map(of).sum::<f64>()
     }
 
     /// Adds `factor` × S to a matrix.
-    pub(super) fn add_to(self, factor: f64, matrix: &mut DMatrix<f64>) {
+    pub(super) fn add_to(&self, factor: f64, matrix: &mut DMatrix<f64>) {
         self.positions().for_each(|at| matrix[at] += factor * self.unit);
     }
 
     /// WSW.
-    pub(super) fn within(self, w: &DMatrix<f64>) -> DMatrix<f64> {
+    pub(super) fn within(&self, w: &DMatrix<f64>) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(w.nrows(), w.ncols());
-        let (a, b) = (w.column(self.i), w.column(self.j));
-        all.ger(self.unit, &a, &b, 1.0);
-        if self.i != self.j {
-            all.ger(self.unit, &b, &a, 1.0);
-        }
+        self.positions().for_each(|(r, c)| all.ger(self.unit, &w.column(r), &w.column(c), 1.0));
         all
     }
 }
 
-/// The parameters θ in their order: `noises` variances, then the elements of each level, the level of the tests first.
+/// The parameters θ in their order: `noises` variances, then the elements of each level, the level of the tests first and
+/// all crossed factors together as the last.
 #[derive(Debug, Clone)]
 pub(super) struct Theta {
     pub(super) noises: usize,
@@ -63,7 +71,7 @@ pub(super) struct Theta {
 impl Theta {
     /// θ at the end of a search; `None` where a standard deviation with given correlations is zero, as Σ is then not
     /// differentiable in the variance.
-    pub(super) fn of(state: &FinalState, noises: usize) -> Option<Theta> {
+    pub(super) fn of(state: &FinalState, noises: usize, crossed: Option<&CrossedEffects>) -> Option<Theta> {
         let (problem, root) = (&state.problem, &state.newton_iterate.point.root);
         let map = &problem.covariance;
         let free = map.cone_directions(&map.chart(root));
@@ -72,7 +80,7 @@ impl Theta {
         }
         let sizes = free.row_sizes();
         let scale = &problem.classes.frame.scale;
-        let levels = levels(map, problem.classes.units.is_some(), &sizes, scale);
+        let levels = levels(map, (problem.classes.units.is_some(), crossed), &sizes, scale);
         let elements: Vec<usize> = (0..sizes.len()).filter(|&k| sizes[k] > 0.0).collect();
         let (moving, columns) = (elements.len(), free.ncols());
         let mut directions = DMatrix::zeros(noises + moving, noises + columns);
@@ -99,17 +107,27 @@ impl Theta {
 }
 
 /// The moving elements of each level; without groups, one level with the states of all phases.
-fn levels(map: &CovarianceMap, grouped: bool, sizes: &[f64], scale: &[f64]) -> Vec<Vec<SigmaElement>> {
+fn levels(
+    map: &CovarianceMap,
+    (grouped, crossed): (bool, Option<&CrossedEffects>),
+    sizes: &[f64],
+    scale: &[f64],
+) -> Vec<Vec<SigmaElement>> {
     let blocks = map.elements.blocks();
-    let mut levels = vec![Vec::new(); if grouped { blocks.len() } else { 1 }];
+    let nested = crossed.map_or(blocks.len(), |crossed| crossed.first_block());
+    let last = if crossed.is_some() { nested + 1 } else { nested };
+    let mut levels = vec![Vec::new(); if grouped { last } else { 1 }];
+    let once: Arc<[usize]> = Arc::new([0]);
     for (_, (i, j)) in map.elements.all().enumerate().filter(|(k, _)| sizes[*k] > 0.0) {
-        let (level, start) = match grouped {
+        let (block, start) = match grouped {
             true => (map.elements.block_of(i), blocks[map.elements.block_of(i)].start),
             false => (0, 0),
         };
         let (own_i, own_j) = (i - start, j - start);
         let unit = scale[i] * scale[j] / (scale[own_i] * scale[own_j]);
-        levels[level].push(SigmaElement { i: own_i, j: own_j, unit });
+        let repeated = crossed.and_then(|crossed| crossed.blocks_of(block));
+        let places = repeated.unwrap_or_else(|| Arc::clone(&once));
+        levels[block.min(nested)].push(SigmaElement { i: own_i, j: own_j, unit, blocks: places });
     }
     levels
 }

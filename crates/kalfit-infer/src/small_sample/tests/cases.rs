@@ -1,6 +1,8 @@
 //! Published data that lme4 distributes, as reductions at unit noise, with figures of lmerTest 3.1-3 and pbkrtest 0.5.2
 //! for the same models: degrees of freedom and standard errors have the 6 to 8 digits of lme4's optimum.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::small_sample::forest::{Forest, Leaf};
@@ -18,7 +20,8 @@ type Test<'a> = (&'a str, f64, f64, &'a [f64], &'a [f64]);
 /// Both laws of the means at known estimates (Σ of each level packed, the tests first; variance of noise).
 fn laws(tests: &[Test<'_>], sigmas: &[&[f64]], noise: f64) -> [MeanLaw; 2] {
     let p = tests[0].3.len();
-    let own: Vec<SigmaElement> = (0..p).flat_map(|i| (0..=i).map(move |j| SigmaElement { i, j, unit: 1.0 })).collect();
+    let own: Vec<SigmaElement> =
+        (0..p).flat_map(|i| (0..=i).map(move |j| SigmaElement { i, j, unit: 1.0, blocks: Arc::new([0]) })).collect();
     let n = 1 + own.len() * sigmas.len();
     let theta = Theta {
         noises: 1,
@@ -40,7 +43,7 @@ fn laws(tests: &[Test<'_>], sigmas: &[&[f64]], noise: f64) -> [MeanLaw; 2] {
     let numbers: Vec<usize> = (0..tests.len()).collect();
     let grouped = (sigmas.len() > 1).then_some((&grouping, &numbers[..]));
     let forest = Forest::of(tests.iter().map(|test| leaf(test, noise)).collect(), grouped);
-    let pass = Pass { forest: &forest, theta: &theta, roots: &roots };
+    let pass = Pass::of(&forest, &theta, &roots).expect("finite");
     let mean = MeanSums::of(&pass.totals().expect("finite"), p, p);
     let law = ThetaLaw::of(&pass, &information::expected(&pass, &mean).expect("finite")).expect("a law");
     let bent = pass.contracted(&law.covariance).expect("finite").view((p, p), (p, p)).into_owned();

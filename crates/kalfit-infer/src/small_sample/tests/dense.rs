@@ -1,18 +1,22 @@
 //! Random models as matrices of all measurements: V = Σ Z_g Σ Z_g' over the groups g of all levels, plus noise.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::small_sample::effects::CrossedEffects;
 use crate::small_sample::forest::{Forest, Leaf};
 use crate::small_sample::theta::{SigmaElement, Theta};
 use kalfit_algebra::symmetric::{pair, pairs};
 use kalfit_model::{Grouping, Label};
 
-/// Levels of groups, states, regressors, and the rank of the Σ of the tests.
+/// Levels of groups, crossed factors, states, regressors, and the rank of the Σ of the tests.
 #[derive(Clone, Copy)]
 pub(super) struct Shape {
     pub(super) depth: usize,
+    pub(super) factors: usize,
     pub(super) p: usize,
     pub(super) regressors: usize,
     pub(super) rank: usize,
@@ -39,26 +43,28 @@ impl Dense {
     pub(super) fn drawn(shape: Shape, seed: u64) -> Dense {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut number = || random.random::<f64>() * 2.0 - 1.0;
-        let (p, depth) = (shape.p, shape.depth);
+        let (p, depth, factors) = (shape.p, shape.depth, shape.factors);
         let test = |j: usize, number: &mut dyn FnMut() -> f64| {
-            let rows = 1 + j % 4 + usize::from(depth == 0) * p;
+            let rows = 1 + j % 4 + usize::from(depth + factors == 0) * p;
             let mut x = DMatrix::zeros(p, p + shape.regressors);
             x.view_mut((0, 0), (p, p)).fill_with_identity();
             (0..shape.regressors).for_each(|c| x[(c % p, p + c)] = number());
             let h = DMatrix::from_fn(rows, p, |_, _| number());
             let z = DVector::from_fn(rows, |_, _| 2.0 * number());
-            let groups = (0..depth).map(|level| j / 3 / (1 + level * 2)).collect();
+            let nested = (0..depth).map(|level| j / 3 / (1 + level * 2));
+            let groups =
+                nested.chain((0..factors).map(|factor| (j * (2 + factor) + j / 5) % (3 + 2 * factor))).collect();
             Rows { h, x, z, groups }
         };
         let tests = (0..14).map(|j| test(j, &mut number)).collect();
         let mut root = |rank: usize| DMatrix::from_fn(p, p, |_, c| if c < rank { number() } else { 0.0 });
-        let roots = (0..=depth).map(|level| root(if level == 0 { shape.rank } else { p })).collect();
+        let roots = (0..=depth + factors).map(|level| root(if level == 0 { shape.rank } else { p })).collect();
         Dense { shape, noise: 0.4, tests, roots }
     }
 
     /// Tests of one design with two states.
     pub(super) fn balanced(n: usize) -> Dense {
-        let shape = Shape { depth: 0, p: 2, regressors: 0, rank: 2 };
+        let shape = Shape { depth: 0, factors: 0, p: 2, regressors: 0, rank: 2 };
         let first = Dense { noise: 1.0, ..Dense::drawn(shape, 5) };
         Dense { tests: vec![first.tests[2].clone(); n], ..first }
     }
@@ -73,33 +79,45 @@ impl Dense {
 
     fn theta(&self, noises: usize) -> Theta {
         let p = self.shape.p;
-        let own: Vec<SigmaElement> =
-            (0..p).flat_map(|i| (0..=i).map(move |j| SigmaElement { i, j, unit: 1.0 })).collect();
-        let n = noises + own.len() * (self.shape.depth + 1);
-        Theta {
-            noises,
-            elements: (0..n - noises).collect(),
-            levels: vec![own; self.shape.depth + 1],
-            directions: DMatrix::identity(n, n),
+        let own = |blocks: Arc<[usize]>| -> Vec<SigmaElement> {
+            let all = (0..p).flat_map(|i| (0..=i).map(move |j| (i, j)));
+            all.map(|(i, j)| SigmaElement { i, j, unit: 1.0, blocks: Arc::clone(&blocks) }).collect()
+        };
+        let mut levels = vec![own(Arc::new([0])); self.shape.depth + 1];
+        if let Some(effects) = self.effects() {
+            let blocks = (0..self.shape.factors).filter_map(|factor| effects.blocks_of(self.shape.depth + 1 + factor));
+            levels.push(blocks.flat_map(own).collect());
         }
+        let n = noises + levels.iter().map(Vec::len).sum::<usize>();
+        Theta { noises, elements: (0..n - noises).collect(), levels, directions: DMatrix::identity(n, n) }
     }
 
     fn grouping(&self) -> Grouping {
         let path = |test: &Rows| test.groups.iter().rev().map(|&group| Label::literal(group)).collect::<Vec<_>>();
         let names: Vec<String> = (0..self.tests.len()).map(|j| j.to_string()).collect();
-        Grouping::from_paths(
-            self.shape.depth,
+        Grouping::crossed(
+            (self.shape.factors, self.shape.depth),
             names.iter().zip(&self.tests).map(|(id, test)| (id.as_str(), path(test))),
         )
     }
 
+    fn effects(&self) -> Option<CrossedEffects> {
+        CrossedEffects::of(&Arc::new(self.grouping()), self.shape.p)
+    }
+
     pub(super) fn forest(&self) -> (Forest, Theta, Vec<DMatrix<f64>>) {
-        let leaf = |test: &Rows| {
+        let (grouping, effects) = (self.grouping(), self.effects());
+        let crossed = effects.as_ref().map_or(0, CrossedEffects::len);
+        let leaf = |(j, test): (usize, &Rows)| {
             let (p, q, rows) = (self.shape.p, self.means(), test.h.nrows());
-            let mut all = DMatrix::zeros(rows, p + q + 1);
+            let first = p + crossed;
+            let mut all = DMatrix::zeros(rows, first + q + 1);
             all.columns_mut(0, p).copy_from(&test.h);
-            all.columns_mut(p, q).copy_from(&(&test.h * &test.x));
-            all.set_column(p + q, &test.z);
+            for met in effects.iter().flat_map(|effects| effects.met_by(&j.to_string()).expect("a test")) {
+                all.columns_mut(p + met.start, p).copy_from(&test.h);
+            }
+            all.columns_mut(first, q).copy_from(&(&test.h * &test.x));
+            all.set_column(first + q, &test.z);
             let (plain, v) = (all.transpose() * &all, self.noise);
             let log = -(rows as f64) / (v * v);
             Leaf {
@@ -109,9 +127,15 @@ impl Dense {
                 log_curvatures: vec![log],
             }
         };
-        let (grouping, numbers) = (self.grouping(), (0..self.tests.len()).collect::<Vec<_>>());
-        let grouped = (self.shape.depth > 0).then_some((&grouping, &numbers[..]));
-        (Forest::of(self.tests.iter().map(leaf).collect(), grouped), self.theta(1), self.roots.clone())
+        let numbers = (0..self.tests.len()).collect::<Vec<_>>();
+        let grouped = (grouping.depth() > 0).then_some((&grouping, &numbers[..]));
+        let forest = Forest::of(self.tests.iter().enumerate().map(leaf).collect(), grouped);
+        let mut roots = self.roots.clone();
+        if let Some(effects) = &effects {
+            let of_factors = roots.split_off(effects.first_block());
+            roots.push(effects.root(&of_factors));
+        }
+        (Forest { crossed, ..forest }, self.theta(1), roots)
     }
 
     pub(super) fn forest_without_data(&self) -> (Forest, Theta, Vec<DMatrix<f64>>) {
@@ -171,7 +195,7 @@ impl Dense {
     }
 
     fn count(&self) -> usize {
-        1 + (self.shape.depth + 1) * pairs(self.shape.p)
+        1 + (self.shape.depth + self.shape.factors + 1) * pairs(self.shape.p)
     }
 
     pub(super) fn c(&self) -> DMatrix<f64> {
