@@ -10,7 +10,7 @@ const TEMPLATES: [&str; 5] = ["random-coefficients", "meta-analysis", "gyro-benc
 
 /// What is damaged, and the commands that read it.
 pub(super) struct FuzzSubject {
-    /// What it is: model, CSV, Parquet, Arrow, exchange, results.
+    /// What it is: model, CSV, rows, Parquet, Arrow, exchange, results.
     pub(super) kind: &'static str,
     pub(super) damage: DamageKind,
     /// Its name in the folder of a run.
@@ -73,6 +73,20 @@ impl FuzzCorpus {
                     format!("fit {model} @ --max-iterations 30 --out out.json --tests out.parquet"),
                     format!("apply {model} @ --from fit.json --out out.csv"),
                     format!("plan {model} --from fit.json --candidates @ --budget 3 --out out.json"),
+                ],
+            ),
+            (
+                "rows",
+                DamageKind::Rows,
+                "d.csv",
+                data.clone(),
+                vec![
+                    format!("check {model} @"),
+                    format!("fit {model} @ --no-tests --max-iterations 30 --out out.json"),
+                    format!("fit {model} @ --max-iterations 30 --out out.json --tests out.parquet"),
+                    format!("apply {model} @ --from fit.json --out out.csv"),
+                    format!("predict {model} --from fit.json --design @ --out out.parquet"),
+                    format!("simulate {model} --from fit.json --design @ --seed 1 --out out.parquet"),
                 ],
             ),
             ("Parquet", DamageKind::Bytes, "d.parquet", "drawn.parquet".to_owned(), vec![format!("check {model} @")]),

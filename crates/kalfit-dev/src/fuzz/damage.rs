@@ -13,10 +13,15 @@ pub(super) enum DamageKind {
     Text,
     /// By bytes, or by values.
     Json,
+    /// By many more rows than it had.
+    Rows,
 }
 
 /// Bytes of a text that is repeated, at most.
 const LONGEST: usize = 1 << 20;
+
+/// Bytes of a table of many rows, about.
+const LARGEST_TABLE: f64 = 4e6;
 
 /// Numbers at the edge of something.
 const NUMBERS: [&str; 20] = [
@@ -67,6 +72,9 @@ const WORDS: [&str; 20] = [
 ];
 
 pub(super) fn damaged(random: &mut ChaCha8Rng, sound: &[u8], damage: DamageKind) -> Vec<u8> {
+    if matches!(damage, DamageKind::Rows) {
+        return of_many_rows(random, sound);
+    }
     let mut bytes = sound.to_vec();
     let times = [1, 1, 1, 1, 2, 4][random.random_range(0..6_usize)];
     for _ in 0..times {
@@ -76,6 +84,7 @@ pub(super) fn damaged(random: &mut ChaCha8Rng, sound: &[u8], damage: DamageKind)
             DamageKind::Text => by_words(random, &bytes),
             DamageKind::Json if random.random_bool(0.1) => by_bytes(random, bytes),
             DamageKind::Json => by_values(random, bytes),
+            DamageKind::Rows => unreachable!("it was done above"),
         };
     }
     bytes
@@ -156,6 +165,35 @@ fn other_word(random: &mut ChaCha8Rng, line: &str) -> String {
         _ => list[random.random_range(0..list.len())].to_owned(),
     };
     format!("{}{word}{}", &line[..starts[k]], &line[end..])
+}
+
+/// A table whose first column names the tests, with rows of its first test again and again: as many tests, as tests of one
+/// row, or as one long test whose second column counts.
+fn of_many_rows(random: &mut ChaCha8Rng, sound: &[u8]) -> Vec<u8> {
+    let text = String::from_utf8_lossy(sound);
+    let mut lines = text.lines();
+    let head = lines.next().unwrap_or_default();
+    let id = |line: &str| line.split(',').next().unwrap_or_default().to_owned();
+    let all: Vec<&str> = lines.collect();
+    let first = all.first().map(|line| id(line)).unwrap_or_default();
+    let own: Vec<&str> = all.into_iter().take_while(|line| id(line) == first).collect();
+    let own = &own[..random.random_range(0..=own.len())];
+    let kind = random.random_range(0..3_u32);
+    let bytes = 10_f64.powf(random.random_range(2.0..LARGEST_TABLE.log10())) as usize;
+    let mut table = format!("{head}\n");
+    let mut row = 0_usize;
+    while !own.is_empty() && table.len() < bytes {
+        let line = own[row % own.len()];
+        let rest = line.split_once(',').map_or("", |(_, rest)| rest);
+        let text = match kind {
+            0 => format!("{},{rest}\n", row / own.len()),
+            1 => format!("{row},{rest}\n"),
+            _ => format!("1,{row},{}\n", rest.split_once(',').map_or("", |(_, rest)| rest)),
+        };
+        table.push_str(&text);
+        row += 1;
+    }
+    table.into_bytes()
 }
 
 fn by_values(random: &mut ChaCha8Rng, bytes: Vec<u8>) -> Vec<u8> {

@@ -1,6 +1,6 @@
 //! Damaged input to the whole program: models, tables, exchange files and results, each damaged at random, run as a user runs them. No
 //! run may end but with status 0, 1 or 2, say that it panicked, print what is no number, leave a file behind where nothing was written,
-//! or take longer or more memory than it is given.
+//! or take more processor time or memory than a file of its size is given.
 
 mod corpus;
 mod damage;
@@ -115,6 +115,8 @@ struct RunTally {
     by: BTreeMap<(&'static str, String), u64>,
     runs: u64,
     slowest: Duration,
+    /// The most memory that a run used, in bytes.
+    largest: u64,
     wrong: Vec<WrongRun>,
 }
 
@@ -170,6 +172,7 @@ struct FuzzRun {
     kind: &'static str,
     ended: RunEnd,
     seconds: Duration,
+    memory: u64,
     wrong: Option<WrongRun>,
 }
 
@@ -181,9 +184,9 @@ fn one(corpus: &FuzzCorpus, kept: &std::path::Path, seed: u64) -> Result<FuzzRun
     let folder = kept.join(format!("run-{seed}"));
     let done = run::run(corpus, subject, (line, &bytes), &folder)?;
     let why = done.wrong(&bytes);
-    let (ended, seconds) = (done.ended, done.seconds);
+    let (ended, seconds, memory) = (done.ended, done.seconds, done.memory);
     let wrong = why.map(|why| WrongRun { seed, line: line.join(" "), why, name: subject.name, bytes });
-    Ok(FuzzRun { kind: subject.kind, ended, seconds, wrong })
+    Ok(FuzzRun { kind: subject.kind, ended, seconds, memory, wrong })
 }
 
 impl RunTally {
@@ -191,15 +194,17 @@ impl RunTally {
         self.runs += 1;
         *self.by.entry((found.kind, found.ended.to_string())).or_default() += 1;
         self.slowest = self.slowest.max(found.seconds);
+        self.largest = self.largest.max(found.memory);
         self.wrong.extend(found.wrong);
     }
 
     fn report(&self, time: Duration, kept: &std::path::Path) -> Result<(), String> {
         println!(
-            "{} runs in {:.0} s, the slowest in {:.1} s",
+            "{} runs in {:.0} s, the slowest in {:.1} s, the largest with {} MB",
             self.runs,
             time.as_secs_f64(),
-            self.slowest.as_secs_f64()
+            self.slowest.as_secs_f64(),
+            self.largest >> 20
         );
         for ((kind, ended), runs) in &self.by {
             println!("  {kind:<10} {ended:<10} {runs:>8}");

@@ -8,10 +8,27 @@ use std::time::{Duration, Instant};
 
 use super::corpus::{FuzzCorpus, FuzzSubject};
 
-/// No run may take longer.
-const LONGEST: Duration = Duration::from_secs(120);
+/// No run may take longer by the clock, whatever else the machine does.
+const LONGEST: Duration = Duration::from_secs(600);
 /// Address space of a run, in kilobytes.
 const MEMORY: u64 = 4_000_000;
+
+/// What a run on some bytes may use.
+#[derive(Debug, Clone, Copy)]
+struct RunBudget {
+    /// Seconds of processor time.
+    processor: u64,
+    /// Memory that is in use at once, in bytes.
+    memory: u64,
+}
+
+impl RunBudget {
+    fn of(bytes: usize) -> RunBudget {
+        // a build with the settings of tests is slow outside of its kernels
+        let slow = if cfg!(debug_assertions) { 4 } else { 1 };
+        RunBudget { processor: slow * (20 + bytes as u64 / 200_000), memory: (256 << 20) + 400 * bytes as u64 }
+    }
+}
 
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +52,8 @@ impl fmt::Display for RunEnd {
 pub(super) struct FinishedRun {
     pub(super) ended: RunEnd,
     pub(super) seconds: Duration,
+    /// Memory that was in use at once, in bytes, where the system says so.
+    pub(super) memory: u64,
     said: String,
     complained: String,
     /// Names of files that were not there before.
@@ -49,6 +68,10 @@ impl FinishedRun {
         let last = || self.complained.chars().rev().take(600).collect::<Vec<_>>().into_iter().rev().collect::<String>();
         if !matches!(self.ended, RunEnd::Status(0..=2)) {
             return Some(format!("it ended with {}\n{}", self.ended, last()));
+        }
+        let budget = RunBudget::of(bytes.len());
+        if self.memory > budget.memory {
+            return Some(format!("it used {} MB of the {} MB that it may", self.memory >> 20, budget.memory >> 20));
         }
         if self.complained.contains("panicked at") {
             return Some(format!("it panicked\n{}", last()));
@@ -87,7 +110,7 @@ pub(super) fn run(
     let words: Vec<String> = line.iter().map(word).collect();
     let [out, err] = ["stdout", "stderr"].map(|name| folder.with_extension(name));
     let begun = Instant::now();
-    let mut command = limited(&corpus.kalfit);
+    let mut command = limited(&corpus.kalfit, RunBudget::of(bytes.len()));
     command
         .args(&words)
         .current_dir(folder)
@@ -96,7 +119,9 @@ pub(super) fn run(
         .env("RAYON_NUM_THREADS", "2");
     command.stdout(File::create(&out).map_err(failed)?).stderr(File::create(&err).map_err(failed)?);
     let mut child = command.spawn().map_err(|error| format!("{}: {error}", corpus.kalfit.display()))?;
+    let mut memory = 0;
     let ended = loop {
+        memory = memory.max(in_use(child.id()));
         match child.try_wait().map_err(failed)? {
             Some(status) => break ended(status),
             None if begun.elapsed() > LONGEST => {
@@ -118,7 +143,7 @@ pub(super) fn run(
     let compiler = header.and_then(|name| refused_by_compiler(&folder.join(name)));
     std::fs::remove_dir_all(folder).map_err(failed)?;
     [out, err].iter().try_for_each(std::fs::remove_file).map_err(failed)?;
-    Ok(FinishedRun { ended, seconds, said, complained, files, compiler })
+    Ok(FinishedRun { ended, seconds, memory, said, complained, files, compiler })
 }
 
 /// What gcc says of a header with all warnings as errors; `None` where it is content, or where there is no gcc.
@@ -132,12 +157,21 @@ fn ended(status: ExitStatus) -> RunEnd {
     status.code().map_or(RunEnd::Signal, RunEnd::Status)
 }
 
-/// The program with so much memory and no more, where a shell can say so.
-fn limited(kalfit: &Path) -> Command {
+/// The most memory that a process had in use so far, in bytes; 0 where the system does not say.
+fn in_use(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
+    kilobytes.unwrap_or(0) << 10
+}
+
+/// The program with so much memory and processor time and no more, where a shell can say so.
+fn limited(kalfit: &Path, budget: RunBudget) -> Command {
     if !cfg!(unix) {
         return Command::new(kalfit);
     }
     let mut command = Command::new("sh");
-    command.args(["-c", &format!("ulimit -v {MEMORY}; exec \"$@\""), "sh"]).arg(kalfit);
+    let limits = format!("ulimit -v {MEMORY}; ulimit -t {}; exec \"$@\"", budget.processor);
+    command.args(["-c", &limits, "sh"]).arg(kalfit);
     command
 }

@@ -8,9 +8,10 @@
 //! wrong first value is not taken for wrong later ones. L⁻¹ of the change of a measurement is the change of the
 //! innovations; only tests with a large innovation are looked at.
 
-use kalfit_filter::innovations::{Innovation, InnovationFilter};
+use kalfit_filter::innovations::{Innovation, InnovationFilter, Innovations};
 use kalfit_model::{Evidence, PhasedModel, PhasedTest, Source, TestId};
 
+use crate::misfit::MAX_ROW_PASSES;
 use crate::misfit::columns::UnitColumns;
 use crate::misfit::score::FTest;
 
@@ -20,6 +21,8 @@ const MAX_TESTS: usize = 20;
 const LARGE: f64 = 3.0;
 /// Most measurements before and after a large innovation that are looked at.
 const MAX_DISTANCE: usize = 100;
+/// Changed copies of a test that exist at once: as many as the filter takes together.
+const COPIES: usize = 8;
 
 /// A measurement that contradicts the others of its test.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,22 +85,20 @@ fn most_wrong(
     (square, all): (f64, usize),
 ) -> Option<WrongRow> {
     let base = filter.run(std::slice::from_ref(test)).pop()?.ok()??;
-    let looked = near.saturating_sub(MAX_DISTANCE)..(near + MAX_DISTANCE + 1).min(base.series.len());
+    // in a long record fewer: each takes a pass of the filter over the whole record
+    let distance = (MAX_ROW_PASSES / (2 * base.series.len().max(1))).clamp(1, MAX_DISTANCE);
+    let looked: Vec<usize> = (near.saturating_sub(distance)..(near + distance + 1).min(base.series.len())).collect();
     let size = |at: usize| base.series[at].variance.sqrt();
     let rows_of = rows_of(&base.series, model, test)?;
-    let changed: Vec<PhasedTest> = looked
-        .clone()
-        .map(|at| {
-            let (place, mut other) = (&base.series[at], test.clone());
-            if let Some(Evidence::Rows(rows)) = other.phases.get_mut(place.phase) {
-                let column = model.phases[place.phase].model.measurements[place.measurement].column;
-                rows.set_number(rows_of[at], column, rows.numbers(rows_of[at])[column] + size(at));
-            }
-            other
-        })
-        .collect();
-    let found = filter.run(&changed).into_iter().zip(looked).filter_map(|(other, at)| {
-        let other = other.ok().flatten().filter(|other| other.series.len() == base.series.len())?;
+    let changed = |at: &usize| {
+        let (place, mut other) = (&base.series[*at], test.clone());
+        if let Some(Evidence::Rows(rows)) = other.phases.get_mut(place.phase) {
+            let column = model.phases[place.phase].model.measurements[place.measurement].column;
+            rows.set_number(rows_of[*at], column, rows.numbers(rows_of[*at])[column] + size(*at));
+        }
+        other
+    };
+    let scored = |(other, at): (Innovations, usize)| {
         let changes = other.series.iter().zip(&base.series);
         let (score, information) = changes.fold((0.0, 0.0), |(score, information), (other, base)| {
             let change = other.standardised - base.standardised;
@@ -105,6 +106,13 @@ fn most_wrong(
         });
         let statistic = score / f64::sqrt(information);
         statistic.is_finite().then_some((statistic, information, at))
+    };
+    let found = looked.chunks(COPIES).flat_map(|some| {
+        let copies: Vec<PhasedTest> = some.iter().map(changed).collect();
+        let run = filter.run(&copies).into_iter().zip(some);
+        let of_all = |other: &Innovations| other.series.len() == base.series.len();
+        let whole = run.filter_map(|(other, &at)| Some((other.ok().flatten().filter(of_all)?, at)));
+        whole.filter_map(scored).collect::<Vec<_>>()
     });
     let (statistic, information, at) = found.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))?;
     let place = &base.series[at];
