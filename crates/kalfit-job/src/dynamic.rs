@@ -18,7 +18,7 @@ use crate::idle::refuse_idle;
 use crate::inferred::{TestSorting, patience, record};
 use crate::innovations;
 use crate::job::{FitJob, MethodChoice};
-use crate::work::JobWork;
+use crate::work::{JobWork, WorkSize};
 use crate::{groups, lost, memory, reductions, tests};
 
 /// Every method, the one that the results are of first.
@@ -34,6 +34,8 @@ pub(crate) fn fit(
     let (model, shared) = (&spec.model, spec.model.shared());
     let (tests, reading) = tests::read(spec, given, work)?;
     memory::suffices_for(tests.len(), spec, job.choices.tests)?;
+    let rows = tests.iter().map(PhasedTest::row_count).sum();
+    work.takes(WorkSize { tests: tests.len(), rows, states: model.dimension() });
     let slots = Slots::in_phases(model, &reading.labels, &tests);
     let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
     if slots.is_empty() {

@@ -7,9 +7,9 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use kalfit::infer::misfit::{FittedEnsemble, misfit};
 use kalfit::innovations::{InnovationFilter, Innovations};
 use kalfit::model::Population;
-use kalfit::record::{CROSSED_MISFIT, InnovationRecord, InnovationRecords, SeriesKeeper, TestGroups, TestRecords};
+use kalfit::record::{InnovationRecord, InnovationRecords, SeriesKeeper, TestGroups, TestRecords};
 use kalfit::reduce::{Evidence, ReduceError, SplitError};
-use kalfit::{Alpha, FitRecord, Grouping, Labels, PhasedModel, PhasedTest, Test};
+use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, TestSink};
 use kalfit_spec::Spec;
 use rayon::prelude::*;
@@ -163,17 +163,11 @@ pub(crate) fn add(
 
 /// Adds the misfit that tests have in common to the record, or a note that says why it was not looked for.
 pub(crate) fn add_misfit(record: &mut FitRecord, of: &FittedEnsemble<'_>, work: &mut JobWork<'_>) {
-    if of.grouping.is_some_and(Grouping::is_crossed) {
-        return record.notes.push(CROSSED_MISFIT.to_owned());
-    }
     let found = misfit(of, &mut |share| {
         work.share("misfit in common", (1e3 * share) as u64, 1000);
         !work.is_stopped()
     });
-    match found {
-        Ok(found) => record.set_misfit(&found, of.model),
-        Err(error) => record.notes.push(format!("misfit that tests have in common was not looked for: {error}")),
-    }
+    record.set_misfit(found, of.model);
 }
 
 /// As [`add`], of tests that were all kept.

@@ -63,7 +63,7 @@ pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
 pub use group_levels::{EffectRecord, FactorRecord, LevelRecord, UnitRecord};
 pub use heterogeneity::HeterogeneityRecord;
 pub use levels::{LevelCounts, level_notes};
-pub use misfit::{CROSSED_MISFIT, MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
+pub use misfit::{MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};
 pub use model_check::{FindingRecord, ModelCheckRecord, SEARCH_LEVEL, displacement_limit, holm, overall_size};
 pub use number::plain;
 pub use own::OwnRecord;

@@ -1,15 +1,11 @@
 //! Misfit that tests have in common, as a record.
 
-use kalfit_infer::misfit::{Misfit, TermKind, TermTest, UnlikeTest, WrongRow};
+use kalfit_infer::misfit::{Misfit, NoMisfit, TermKind, TermTest, UnlikeTest, WrongRow};
 use kalfit_model::PhasedModel;
 use serde::{Deserialize, Serialize};
 
 use crate::figure::figures;
 use crate::{FigureUnit, FitRecord};
-
-/// The note of a fit whose misfit is not looked for because groups cross.
-pub const CROSSED_MISFIT: &str = "misfit that tests have in common was not looked for: with crossed factors no test is \
-                                  independent of the others";
 
 /// Misfit that tests have in common, by standardised innovations under the law of the whole model: processes, noises, Σ
 /// and the levels of groups.
@@ -147,10 +143,15 @@ impl MisfitRecord {
 }
 
 impl FitRecord {
-    /// Sets the misfit that tests have in common.
-    pub fn set_misfit(&mut self, found: &Misfit, model: &PhasedModel) {
-        self.misfit = MisfitRecord::new(found, model, &self.data.files);
-        self.set_whitened(&found.by_test);
+    /// Sets the misfit that tests have in common, or adds a note that says why it was not looked for.
+    pub fn set_misfit(&mut self, found: Result<Misfit, NoMisfit>, model: &PhasedModel) {
+        match found {
+            Ok(found) => {
+                self.misfit = MisfitRecord::new(&found, model, &self.data.files);
+                self.set_whitened(&found.by_test);
+            }
+            Err(why) => self.notes.push(format!("misfit that tests have in common was not looked for: {why}")),
+        }
     }
 }
 

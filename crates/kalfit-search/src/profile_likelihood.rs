@@ -2,9 +2,9 @@
 //! moves.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -70,6 +70,8 @@ pub struct ProfileLikelihood<'a> {
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
+    /// ℓ at the points that were tried, by the bits of the values.
+    tried: Mutex<HashMap<Vec<u64>, Option<f64>>>,
 }
 
 /// Results of the filters for an ensemble at one α.
@@ -165,6 +167,7 @@ impl<'a> ProfileLikelihood<'a> {
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
+            tried: Mutex::default(),
         }
     }
 
@@ -418,6 +421,32 @@ impl<'a> ProfileLikelihood<'a> {
             None => self.inner(&self.reduce(values).ok()?.reductions, &alpha, None).ok()?,
         };
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
+    }
+
+    /// ℓ(α) alone at each of several points, some at once where `at_a_time` is larger than 1; a point that was tried before
+    /// is not tried again. `go_on` is asked before each batch; the rest is `None` once it says no.
+    pub(crate) fn tried_values(
+        &self,
+        places: &[Vec<f64>],
+        at_a_time: usize,
+        go_on: &mut dyn FnMut() -> bool,
+    ) -> Vec<Option<f64>> {
+        let key = |place: &Vec<f64>| -> Vec<u64> { place.iter().map(|x| x.to_bits()).collect() };
+        let tried = || self.tried.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut new: Vec<&Vec<f64>> = Vec::new();
+        for place in places {
+            if !tried().contains_key(&key(place)) && !new.contains(&place) {
+                new.push(place);
+            }
+        }
+        for some in new.chunks(at_a_time) {
+            if !go_on() {
+                break;
+            }
+            let values = self.each(some, |place| self.value(place));
+            tried().extend(some.iter().map(|place| key(place)).zip(values));
+        }
+        places.iter().map(|place| tried().get(&key(place)).copied().flatten()).collect()
     }
 
     /// ℓ(α) alone, from a run of the filters at `values`: reductions scaled from far away would lose digits.

@@ -36,7 +36,7 @@ pub(crate) fn starts(
     let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
     let unknown = unknown(objective);
     let (first, peaks) = likeliest((objective, &small), &unknown, progress);
-    if small.value(&first).is_none() {
+    if small.tried_values(std::slice::from_ref(&first), 1, &mut || true) == [None] {
         objective.solve(&first, None)?; // returns the error
     }
     let mut all = vec![Candidate { values: first.clone(), origin: Origin::FirstStart }];

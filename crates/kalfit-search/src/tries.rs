@@ -34,11 +34,10 @@ pub(super) fn likelihoods_at(
     progress: &mut dyn Progress,
 ) -> Vec<Option<f64>> {
     let at_a_time = if small.is_parallel_over_alpha() { BATCH } else { 1 };
-    let some = |places: &[Vec<f64>]| {
+    small.tried_values(places, at_a_time, &mut || {
         progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
-        if progress.stops() { vec![None; places.len()] } else { small.each(places, |place| small.value(place)) }
-    };
-    places.chunks(at_a_time).flat_map(some).collect()
+        !progress.stops()
+    })
 }
 
 /// Sets all levels of one parameter to the best trial values of `grid`.

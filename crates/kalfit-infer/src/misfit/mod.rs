@@ -45,8 +45,31 @@ use wrong_rows::LargeInnovations;
 /// Most rows that the filter passes, over all terms: enough to find a tenth of a standard deviation in every term, and a
 /// few tenths of a second. Of larger ensembles units are taken at equal distances in the order of the data.
 const MAX_ROW_PASSES: usize = 4_000_000;
+/// Number of states above which a row counts as several: the work on it grows with the cube of this number.
+const FEW_STATES: usize = 10;
 /// Rows that the filter takes together.
 const ROWS_OF_A_BATCH: usize = 1 << 14;
+
+/// Why no misfit was looked for.
+#[derive(Debug, thiserror::Error)]
+pub enum NoMisfit {
+    /// The model has no innovations at this estimate, for the reasons of [`InnovationFilter::new`].
+    #[error(transparent)]
+    Filter(#[from] ReduceError),
+    /// Groups of tests cross.
+    #[error("with crossed factors no test is independent of the others")]
+    Crossed,
+    /// A single unit takes more work than all units may.
+    #[error(
+        "each of {passes} terms takes a pass of the filter with {states} states over the data, which is too much work"
+    )]
+    Work {
+        /// Number of states of the phase with most.
+        states: usize,
+        /// Number of passes.
+        passes: usize,
+    },
+}
 
 /// Where a check of an ensemble is made.
 #[derive(Debug, Clone, Copy)]
@@ -120,18 +143,24 @@ pub struct Deviation {
 /// reductions, are left out.
 ///
 /// # Errors
-/// The model has no innovations at this estimate at all, for the reasons of
-/// [`InnovationFilter::new`].
-pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Result<Misfit, ReduceError> {
+/// Why it was not looked for.
+pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Result<Misfit, NoMisfit> {
+    if of.grouping.is_some_and(Grouping::is_crossed) {
+        return Err(NoMisfit::Crossed);
+    }
     let (model, tests) = probe::probed(of.model, of.tests);
     let units = levels::units(&tests, of.grouping);
     let terms = candidates(&model, of.model, &tests);
+    let columns = Columns::new(&model, of, &terms)?;
+    let (most, passes) = (row_passes(&model), columns.passes());
+    if units.iter().map(|unit| unit.rows(&tests)).min().is_some_and(|least| least * passes > most) {
+        return Err(NoMisfit::Work { states: most_states(&model), passes });
+    }
     let mut found = Misfit::default();
     let Some(large) = whole(of, (&model, &tests, &units), &mut found, &mut |share| go_on(0.5 * share))? else {
         return Ok(Misfit::default());
     };
-    let columns = Columns::new(&model, of, &terms)?;
-    let units = chosen(units, &tests, columns.passes());
+    let units = chosen(units, &tests, (passes, most));
     let (mut score, mut steps) = (Score::new(&columns, &terms), StepMeans::new(&columns));
     let mut shared = SharedSteps::default();
     let all = units.len().max(1) as f64;
@@ -193,10 +222,22 @@ fn whole(
     Ok(Some(large))
 }
 
+/// Most rows that the filter passes, at least 1.
+fn row_passes(model: &PhasedModel) -> usize {
+    let states = most_states(model);
+    let cube = |n: usize| n.saturating_pow(3);
+    (MAX_ROW_PASSES.saturating_mul(cube(FEW_STATES)) / cube(states.max(FEW_STATES))).max(1)
+}
+
+/// Number of states of the phase with most.
+fn most_states(model: &PhasedModel) -> usize {
+    model.phases.iter().map(|phase| phase.model.states.len()).max().unwrap_or(0)
+}
+
 /// The units to look at.
-fn chosen(units: Vec<Unit>, tests: &[PhasedTest], passes: usize) -> Vec<Unit> {
+fn chosen(units: Vec<Unit>, tests: &[PhasedTest], (passes, most): (usize, usize)) -> Vec<Unit> {
     let rows: usize = units.iter().map(|unit| unit.rows(tests)).sum();
-    let every = (rows * passes).div_ceil(MAX_ROW_PASSES).max(1);
+    let every = (rows * passes).div_ceil(most).max(1);
     units.into_iter().step_by(every).collect()
 }
 

@@ -11,8 +11,8 @@
 use kalfit_filter::innovations::{Innovation, InnovationFilter, Innovations};
 use kalfit_model::{Evidence, PhasedModel, PhasedTest, Source, TestId};
 
-use crate::misfit::MAX_ROW_PASSES;
 use crate::misfit::columns::UnitColumns;
+use crate::misfit::row_passes;
 use crate::misfit::score::FTest;
 
 /// Most tests that are looked at.
@@ -72,21 +72,23 @@ impl LargeInnovations {
         self.0.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.to_string().cmp(&b.1.to_string())));
         self.0.truncate(MAX_TESTS);
         let test = |id: &TestId| tests.iter().find(|test| test.id == *id);
-        self.0.iter().filter_map(|(_, id, row)| most_wrong(filter, (model, test(id)?), *row, whole)).collect()
+        let most = row_passes(model) / self.0.len().max(1);
+        self.0.iter().filter_map(|(_, id, row)| most_wrong(filter, (model, test(id)?), (*row, most), whole)).collect()
     }
 }
 
-/// `near`: number of a large innovation; `whole`: the square of all innovations and its degrees of freedom, by which the
-/// deviation is studentised, as a wrong value makes estimated noise levels large.
+/// `near`: number of a large innovation; `most`: rows that the filter passes at most; `whole`: the square of all
+/// innovations and its degrees of freedom, by which the deviation is studentised, as a wrong value makes estimated noise
+/// levels large.
 fn most_wrong(
     filter: &InnovationFilter,
     (model, test): (&PhasedModel, &PhasedTest),
-    near: usize,
+    (near, most): (usize, usize),
     (square, all): (f64, usize),
 ) -> Option<WrongRow> {
     let base = filter.run(std::slice::from_ref(test)).pop()?.ok()??;
     // in a long record fewer: each takes a pass of the filter over the whole record
-    let distance = (MAX_ROW_PASSES / (2 * base.series.len().max(1))).clamp(1, MAX_DISTANCE);
+    let distance = (most / (2 * base.series.len().max(1))).clamp(1, MAX_DISTANCE);
     let looked: Vec<usize> = (near.saturating_sub(distance)..(near + distance + 1).min(base.series.len())).collect();
     let size = |at: usize| base.series[at].variance.sqrt();
     let rows_of = rows_of(&base.series, model, test)?;

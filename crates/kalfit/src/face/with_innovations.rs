@@ -3,8 +3,8 @@
 use crate::face::fit::Fit;
 use kalfit_filter::innovations::innovations;
 use kalfit_infer::misfit::{FittedEnsemble, misfit};
-use kalfit_model::{Grouping, PhasedTest};
-use kalfit_record::{CROSSED_MISFIT, InnovationRecord, InnovationRecords, SeriesKeeper};
+use kalfit_model::PhasedTest;
+use kalfit_record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 
 /// Adds innovations to the record, or a note why innovations were not computed; the fit does not depend on innovations.
 pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
@@ -29,12 +29,6 @@ pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
     fit.record.set_innovations(records);
     fit.record.add_series(series);
     let grouping = fit.estimate.grouping().map(|grouping| &**grouping);
-    if grouping.is_some_and(Grouping::is_crossed) {
-        return fit.record.notes.push(CROSSED_MISFIT.to_owned());
-    }
     let of = FittedEnsemble { model: &fit.model, alpha: &fit.alpha, population: &population, tests, grouping };
-    match misfit(&of, &mut |_| true) {
-        Ok(found) => fit.record.set_misfit(&found, &fit.model),
-        Err(error) => fit.record.notes.push(format!("misfit that tests have in common was not looked for: {error}")),
-    }
+    fit.record.set_misfit(misfit(&of, &mut |_| true), &fit.model);
 }
