@@ -168,7 +168,8 @@ fn other_word(random: &mut ChaCha8Rng, line: &str) -> String {
 }
 
 /// A table whose first column names the tests, with rows of its first test again and again: as many tests, as tests of one
-/// row, or as one long test whose second column counts.
+/// row, or as one long test whose second column counts. Values of the last column scatter: equal values have no noise, and
+/// a likelihood without a bound is another matter than a long table.
 fn of_many_rows(random: &mut ChaCha8Rng, sound: &[u8]) -> Vec<u8> {
     let text = String::from_utf8_lossy(sound);
     let mut lines = text.lines();
@@ -185,6 +186,11 @@ fn of_many_rows(random: &mut ChaCha8Rng, sound: &[u8]) -> Vec<u8> {
     while !own.is_empty() && table.len() < bytes {
         let line = own[row % own.len()];
         let rest = line.split_once(',').map_or("", |(_, rest)| rest);
+        let scattered = rest.rsplit_once(',').and_then(|(before, last)| Some((before, last.parse::<f64>().ok()?)));
+        let rest = match scattered {
+            Some((before, last)) => format!("{before},{}", last * random.random_range(0.9..1.1)),
+            None => rest.to_owned(),
+        };
         let text = match kind {
             0 => format!("{},{rest}\n", row / own.len()),
             1 => format!("{row},{rest}\n"),

@@ -26,7 +26,7 @@ impl RunBudget {
     fn of(bytes: usize) -> RunBudget {
         // a build with the settings of tests is slow outside of its kernels
         let slow = if cfg!(debug_assertions) { 4 } else { 1 };
-        RunBudget { processor: slow * (20 + bytes as u64 / 200_000), memory: (256 << 20) + 400 * bytes as u64 }
+        RunBudget { processor: slow * (30 + bytes as u64 / 40_000), memory: (256 << 20) + 400 * bytes as u64 }
     }
 }
 
