@@ -423,8 +423,9 @@ impl<'a> ProfileLikelihood<'a> {
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
-    /// ℓ(α) alone at each of several points, some at once where `at_a_time` is larger than 1; a point that was tried before
-    /// is not tried again. `go_on` is asked before each batch; the rest is `None` once it says no.
+    /// ℓ(α) alone at each of several points, some at once where `at_a_time` is larger than 1. A point that was tried before
+    /// is not tried again, and one where ℓ cannot reach what was found is not tried: it has no value. `go_on` is asked before
+    /// each batch; the rest is `None` once it says no.
     pub(crate) fn tried_values(
         &self,
         places: &[Vec<f64>],
@@ -439,14 +440,32 @@ impl<'a> ProfileLikelihood<'a> {
                 new.push(place);
             }
         }
-        for some in new.chunks(at_a_time) {
+        let bounds = self.bounds(&new);
+        let mut order: Vec<usize> = (0..new.len()).collect();
+        order.sort_by(|&a, &b| bounds[b].total_cmp(&bounds[a]));
+        for some in order.chunks(at_a_time) {
             if !go_on() {
                 break;
             }
+            let best = tried().values().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+            if some.iter().all(|&k| bounds[k] < best) {
+                break; // the bounds descend
+            }
+            let some: Vec<&Vec<f64>> = some.iter().map(|&k| new[k]).collect();
+            let some = &some[..];
             let values = self.each(some, |place| self.value(place));
             tried().extend(some.iter().map(|place| key(place)).zip(values));
         }
         places.iter().map(|place| tried().get(&key(place)).copied().flatten()).collect()
+    }
+
+    /// For each point a number that ℓ there does not exceed; infinity where no bound is known.
+    fn bounds(&self, places: &[&Vec<f64>]) -> Vec<f64> {
+        // the restricted likelihood has a determinant that may be of any size
+        let scale = self.scale.as_ref().filter(|_| self.settings.inner.criterion == Criterion::Ml);
+        let run = |value| Ok(self.filter(&[value])?.reductions);
+        let of = |place: &&Vec<f64>| scale?.bound(place[0], &run).ok()?.filter(|bound| !bound.is_nan());
+        places.iter().map(|place| of(place).unwrap_or(f64::INFINITY)).collect()
     }
 
     /// ℓ(α) alone, from a run of the filters at `values`: reductions scaled from far away would lose digits.

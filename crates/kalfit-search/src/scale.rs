@@ -112,6 +112,18 @@ impl Scale {
         (value / reference.value).powf(self.power)
     }
 
+    /// A bound that ℓ(θ) does not exceed, whatever (μ, Σ): the sum of the constants, as what a test says of ξ adds
+    /// -½ log|I + RΣR'| and a square. `None` where the reductions at θ cannot be scaled.
+    pub(crate) fn bound(&self, value: f64, run: FilterRun<'_>) -> Result<Option<f64>, DynamicError> {
+        // a bound needs few digits: no reference is too far for it
+        let Some((reference, _)) = self.reference(self.last().map_or(value, |last| last.value), 1.0, run)? else {
+            return Ok(None);
+        };
+        let (all, variance) = (&reference.reductions, self.variance(&reference, value));
+        let of_test = |number: usize| all.constant(number) + Residual::of(all, number).change(variance);
+        Ok(Some((0..all.len()).map(of_test).sum()))
+    }
+
     /// The reductions at θ; `None` where the reductions at θ_0 cannot be scaled.
     pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((reference, variance)) = self.reference(value, MAX_EXACT_RATIO, run)? else { return Ok(None) };
