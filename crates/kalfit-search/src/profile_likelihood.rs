@@ -440,11 +440,12 @@ impl<'a> ProfileLikelihood<'a> {
                 new.push(place);
             }
         }
-        let bounds = self.bounds(&new);
-        let mut order: Vec<usize> = (0..new.len()).collect();
+        let mut goes_on = !new.is_empty() && go_on(); // before the bounds, which may take a run
+        let bounds = if goes_on { self.bounds(&new) } else { Vec::new() };
+        let mut order: Vec<usize> = (0..bounds.len()).collect();
         order.sort_by(|&a, &b| bounds[b].total_cmp(&bounds[a]));
         for some in order.chunks(at_a_time) {
-            if !go_on() {
+            if !goes_on {
                 break;
             }
             let best = tried().values().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -455,6 +456,7 @@ impl<'a> ProfileLikelihood<'a> {
             let some = &some[..];
             let values = self.each(some, |place| self.value(place));
             tried().extend(some.iter().map(|place| key(place)).zip(values));
+            goes_on = go_on();
         }
         places.iter().map(|place| tried().get(&key(place)).copied().flatten()).collect()
     }

@@ -12,8 +12,8 @@ use crate::words::{clean, count};
 const MOST_ROWS: usize = 12;
 
 /// A row for each level with its effect on each state that varies with the factor, the largest effects where not all
-/// have room.
-pub(crate) fn section(factor: &FactorRecord, page: &PageLayout<'_>) -> String {
+/// have room. `units`: those of the states.
+pub(crate) fn section(factor: &FactorRecord, units: &[Option<String>], page: &PageLayout<'_>) -> String {
     let level = &factor.level;
     let states: Vec<usize> = (0..level.states.len()).filter(|&i| !is_held_at_zero(level, i)).collect();
     let varies = level.std_dev.estimate.iter().any(|deviation| *deviation > 0.0);
@@ -45,7 +45,8 @@ pub(crate) fn section(factor: &FactorRecord, page: &PageLayout<'_>) -> String {
         let figure = shown.iter().map(|one| precision(one).show(one.mean[i])).collect();
         let beside = shown.iter().map(|one| format!("± {}", precision(one).show(one.std_dev[i]))).collect();
         columns.push(TextColumn::new(&clean(&level.states[i]), ColumnSide::Right, figure));
-        columns.push(TextColumn::new("", ColumnSide::Left, beside));
+        let unit = units.get(i).cloned().flatten().map_or(String::new(), |unit| clean(&unit));
+        columns.push(TextColumn::new(&unit, ColumnSide::Left, beside));
     }
     let all = factor.effects.len();
     let left_out = match all > shown.len() {

@@ -32,7 +32,8 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     for (level, place) in outer(record) {
         sections.push(correlations::section(level.into(), &place, &unchanged, page));
     }
-    sections.extend(record.crossed.iter().map(|factor| effects::section(factor, page)));
+    let units = record.phases.first().map_or(&[][..], |phase| &phase.units);
+    sections.extend(record.crossed.iter().map(|factor| effects::section(factor, units, page)));
     sections.push(outlying_groups::section(record, page));
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
