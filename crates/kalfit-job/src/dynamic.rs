@@ -14,11 +14,12 @@ use kalfit_spec::Spec;
 use crate::along::HeldTests;
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
+use crate::forecast::SearchForecast;
 use crate::idle::refuse_idle;
 use crate::inferred::{TestSorting, patience, record};
 use crate::innovations;
 use crate::job::{FitJob, MethodChoice};
-use crate::work::{JobWork, WorkSize};
+use crate::work::JobWork;
 use crate::{groups, lost, memory, reductions, tests};
 
 /// Every method, the one that the results are of first.
@@ -35,7 +36,7 @@ pub(crate) fn fit(
     let (tests, reading) = tests::read(spec, given, work)?;
     memory::suffices_for(tests.len(), spec, job.choices.tests)?;
     let rows = tests.iter().map(PhasedTest::row_count).sum();
-    work.takes(WorkSize { tests: tests.len(), rows, states: model.dimension() });
+    work.forecasts(SearchForecast::new(tests.len(), rows, model.dimension()));
     let slots = Slots::in_phases(model, &reading.labels, &tests);
     let notes = level_notes(shared, &LevelCounts::all(shared, &reading.labels, &tests));
     if slots.is_empty() {

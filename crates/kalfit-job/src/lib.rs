@@ -29,6 +29,7 @@ mod export;
 mod failure;
 mod fit;
 mod fitted;
+mod forecast;
 mod groups;
 mod hypothesis;
 mod idle;

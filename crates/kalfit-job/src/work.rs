@@ -5,6 +5,7 @@ use std::time::Instant;
 use kalfit::estimate::{Progress, Stage, Step};
 
 use crate::failure::Failure;
+use crate::forecast::SearchForecast;
 
 /// How far something has come whose end is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,28 +47,13 @@ pub(crate) struct JobWork<'a> {
     watch: &'a mut dyn JobWatch,
     /// The search gains slowly by the method that was asked for.
     slow: bool,
-    /// What the filters run over.
-    size: Option<WorkSize>,
-    /// When the search began to run the filters.
-    searching: Option<Instant>,
+    /// How long the search will take, where tests are here.
+    forecast: Option<SearchForecast>,
 }
-
-/// What a run of the filters takes.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct WorkSize {
-    pub(crate) tests: usize,
-    pub(crate) rows: usize,
-    pub(crate) states: usize,
-}
-
-/// Filter runs of most searches, from few to many free parameters.
-const USUAL_RUNS: [f64; 2] = [50.0, 500.0];
-/// Seconds from which it is said how long a search will take.
-const LONG: f64 = 60.0;
 
 impl<'a> JobWork<'a> {
     pub(crate) fn new(watch: &'a mut dyn JobWatch) -> JobWork<'a> {
-        JobWork { began: Instant::now(), watch, slow: false, size: None, searching: None }
+        JobWork { began: Instant::now(), watch, slow: false, forecast: None }
     }
 
     /// Time since the work began.
@@ -75,16 +61,9 @@ impl<'a> JobWork<'a> {
         self.began.elapsed().as_secs_f64()
     }
 
-    /// Tells what the filters of a search will run over.
-    pub(crate) fn takes(&mut self, size: WorkSize) {
-        self.size = Some(size);
-    }
-
-    /// How long the search will take, once runs of the filters were made and where it is more than a minute.
-    fn forecast(&mut self, filter_runs: usize) -> String {
-        let began = *self.searching.get_or_insert_with(Instant::now);
-        let Some(size) = self.size.filter(|_| filter_runs > 0) else { return String::new() };
-        size.forecast(began.elapsed().as_secs_f64() / filter_runs as f64)
+    /// Takes a forecast of the search, which is told with the progress.
+    pub(crate) fn forecasts(&mut self, forecast: SearchForecast) {
+        self.forecast = Some(forecast);
     }
 
     /// Says what is being done now.
@@ -111,50 +90,25 @@ impl<'a> JobWork<'a> {
     }
 }
 
-impl WorkSize {
-    /// How long a search will take whose runs take so many seconds, where it is more than a minute.
-    fn forecast(self, seconds: f64) -> String {
-        if seconds * USUAL_RUNS[1] < LONG {
-            return String::new();
-        }
-        let WorkSize { tests, rows, states } = self;
-        let [least, most] = USUAL_RUNS.map(|runs| in_words(runs * seconds));
-        format!(
-            "; {} a run over {tests} tests, {rows} rows, {states} states: most searches take {least} to {most}",
-            in_words(seconds)
-        )
-    }
-}
-
-/// A duration, roughly.
-fn in_words(seconds: f64) -> String {
-    match seconds {
-        ..0.95 => format!("{seconds:.1} s"),
-        ..90.0 => format!("{seconds:.0} s"),
-        ..5400.0 => format!("{:.0} min", seconds / 60.0),
-        _ => format!("{:.0} h", seconds / 3600.0),
-    }
-}
-
 impl Progress for JobWork<'_> {
     fn step(&mut self, step: Step) {
         let slow = if self.slow { "; EM is slow here, the hybrid method takes fewer runs" } else { "" };
+        let forecast = self.forecast.map_or(String::new(), |forecast| forecast.after(step.passes));
         self.say(|| {
             let far =
                 step.decrement.map_or(String::new(), |d| format!(", {} standard errors from the optimum", rough(d)));
-            format!("pass {}: log-likelihood {:.2}{far}{slow}", step.passes, step.log_likelihood)
+            format!("pass {}: log-likelihood {:.2}{far}{slow}{forecast}", step.passes, step.log_likelihood)
         });
     }
 
     fn stage(&mut self, stage: Stage<'_>) {
         self.slow |= matches!(stage, Stage::Slow);
-        let forecast = match stage {
-            Stage::Filters { filter_runs } => self.forecast(filter_runs),
-            _ => String::new(),
-        };
+        if let (Stage::Filters { filter_runs }, Some(forecast)) = (stage, &mut self.forecast) {
+            forecast.begin(filter_runs);
+        }
         self.say(|| match stage {
             Stage::StartValues { filter_runs } => format!("start values: filter run {}", filter_runs + 1),
-            Stage::Filters { filter_runs } => format!("search: filter run {}{forecast}", filter_runs + 1),
+            Stage::Filters { filter_runs } => format!("search: filter run {}", filter_runs + 1),
             Stage::Slow => "search: EM is slow here, the hybrid method takes fewer runs".to_owned(),
             Stage::Interval { of, is_upper, filter_runs } => {
                 let end = if is_upper { "upper" } else { "lower" };
@@ -206,13 +160,6 @@ mod tests {
         assert_eq!(told(&|work| work.step(step(None))), "pass 4: log-likelihood 926723.21");
         assert_eq!(told(&|work| work.stage(Stage::StartValues { filter_runs: 0 })), "start values: filter run 1");
         assert_eq!(told(&|work| work.stage(Stage::Filters { filter_runs: 11 })), "search: filter run 12");
-        let size = WorkSize { tests: 6, rows: 6_000_000, states: 3 };
-        assert_eq!(size.forecast(0.1), "");
-        assert_eq!(
-            size.forecast(0.5),
-            "; 0.5 s a run over 6 tests, 6000000 rows, 3 states: most searches take 25 s to 4 min"
-        );
-        assert_eq!([0.04, 7.0, 600.0, 9000.0].map(in_words), ["0.0 s", "7 s", "10 min", "2 h"]);
         let interval = |filter_runs| Stage::Interval { of: "`tau1`", is_upper: filter_runs == 0, filter_runs };
         assert_eq!(told(&|work| work.stage(interval(0))), "interval of `tau1`, upper end");
         assert_eq!(told(&|work| work.stage(interval(7))), "interval of `tau1`, lower end: filter run 8");

@@ -28,6 +28,7 @@ pub use compared::compared_summary;
 pub use datasheet::datasheet_summary;
 pub use exported::exported_summary;
 pub use html::{html, html_along, html_with_test};
+pub use number::seconds;
 pub use plan::plan_summary;
 pub use plot::{PlotError, PlotFormat, PlotKind, WIDTHS, plot, plot_plan};
 pub use predicted::predicted_summary;

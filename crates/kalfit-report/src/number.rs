@@ -92,8 +92,8 @@ pub(crate) fn p_value(p: f64) -> String {
     if shown.starts_with('<') { format!("p {shown}") } else { format!("p = {shown}") }
 }
 
-/// Wall time.
-pub(crate) fn seconds(seconds: f64) -> String {
+/// A duration in words, two digits: `500 ms`, `4.2 min`.
+pub fn seconds(seconds: f64) -> String {
     match seconds {
         s if !s.is_finite() => format!("{UNKNOWN} time"),
         s if s < 0.001 => "less than 1 ms".to_owned(),

@@ -462,7 +462,7 @@ impl<'a> ProfileLikelihood<'a> {
     }
 
     /// For each point a number that ℓ there does not exceed; infinity where no bound is known.
-    fn bounds(&self, places: &[&Vec<f64>]) -> Vec<f64> {
+    pub(crate) fn bounds(&self, places: &[&Vec<f64>]) -> Vec<f64> {
         // the restricted likelihood has a determinant that may be of any size
         let scale = self.scale.as_ref().filter(|_| self.settings.inner.criterion == Criterion::Ml);
         let run = |value| Ok(self.filter(&[value])?.reductions);

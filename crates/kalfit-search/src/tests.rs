@@ -126,6 +126,46 @@ fn a_scale_of_all_noise_moves_without_the_filters() {
     }
 }
 
+/// Of random ensembles, over twelve powers of four: the bound holds, what is left out cannot be the best, nothing is tried
+/// twice, and the restricted likelihood, which has no bound, leaves nothing out.
+#[test]
+fn a_noise_level_that_cannot_be_the_best_is_not_tried() {
+    let model = scaled_model();
+    let places: Vec<Vec<f64>> = (-6..=6).map(|k| vec![0.4 * 4_f64.powi(k)]).collect();
+    for (seed, criterion) in [(7, Criterion::Ml), (8, Criterion::Ml), (9, Criterion::Ml), (7, Criterion::Reml)] {
+        let (labels, tests) = ensemble(&model, 9, seed);
+        let slots = Slots::in_phases(&model, &labels, &tests);
+        let settings = settings(Method::Hybrid, criterion);
+        let plain = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
+        let expected: Vec<f64> = places.iter().map(|place| plain.value(place).expect("defined")).collect();
+        let best = expected.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        let found = objective.tried_values(&places, 1, &mut || true);
+        let mut left_out = 0;
+        for (found, expected) in found.iter().zip(&expected) {
+            match found {
+                Some(found) => assert!((found - expected).abs() < 1e-6 * expected.abs(), "{found} {expected}"),
+                None => {
+                    assert!(*expected < best, "{expected} of {best}");
+                    left_out += 1;
+                }
+            }
+        }
+        assert!(if criterion == Criterion::Ml { left_out >= 6 } else { left_out == 0 }, "{criterion:?}: {left_out}");
+        for (place, expected) in places.iter().zip(&expected) {
+            let bound = objective.bounds(&[place])[0];
+            assert!(bound >= *expected, "{place:?}: {expected} above {bound}");
+        }
+        let mut asked = 0;
+        objective.tried_values(&places[6..7], 1, &mut || {
+            asked += 1;
+            true
+        });
+        assert!(found[6].is_none() || asked == 0, "it was tried before");
+        assert!(objective.tried_values(&[vec![0.41]], 1, &mut || false) == [None], "nobody waits");
+    }
+}
+
 #[test]
 fn a_scale_far_from_where_the_filters_ran_has_them_run_again() {
     let model = scaled_model();

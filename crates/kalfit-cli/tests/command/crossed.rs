@@ -49,6 +49,10 @@ fn plates_and_samples_are_those_of_lme4() {
     close(&[restricted.log_likelihood], &[-165.4302945], 1e-8);
     let deviations: Vec<f64> = variances(&restricted).iter().map(|v| v.sqrt()).collect();
     close(&deviations, &[0.8467, 1.9316, 0.0], 3e-5); // as lme4 rounds them
+    // pbkrtest 0.5.2, at lme4's optimum
+    let mean = &restricted.phases[0].mean;
+    close(&[mean.std_error[0].expect("known")], &[0.8085953614], 3e-5);
+    close(&[mean.few_tests.df[0].expect("known")], &[5.48706186], 1e-5);
 }
 
 /// An independent maximisation of the dense likelihood, with the time constant and both noises free; the covariance from

@@ -10,7 +10,7 @@ const TEMPLATES: [&str; 5] = ["random-coefficients", "meta-analysis", "gyro-benc
 
 /// What is damaged, and the commands that read it.
 pub(super) struct FuzzSubject {
-    /// What it is: model, CSV, rows, Parquet, Arrow, exchange, results.
+    /// Its name in the tally of runs: model, CSV, rows, Parquet, Arrow, exchange, results.
     pub(super) kind: &'static str,
     pub(super) damage: DamageKind,
     /// Its name in the folder of a run.

@@ -13,7 +13,8 @@ const LONGEST: Duration = Duration::from_secs(600);
 /// Address space of a run, in kilobytes.
 const MEMORY: u64 = 4_000_000;
 
-/// What a run on some bytes may use.
+/// Processor time and memory that a run may take, by the size of its input. Fits of 50 000 tests of one row (1.9 MB) with
+/// all figures took 20 to 60 s in a released build, and a test with all figures some 1 100 bytes.
 #[derive(Debug, Clone, Copy)]
 struct RunBudget {
     /// Seconds of processor time.

@@ -45,7 +45,8 @@ use wrong_rows::LargeInnovations;
 /// Most rows that the filter passes, over all terms: enough to find a tenth of a standard deviation in every term, and a
 /// few tenths of a second. Of larger ensembles units are taken at equal distances in the order of the data.
 const MAX_ROW_PASSES: usize = 4_000_000;
-/// Number of states above which a row counts as several: the work on it grows with the cube of this number.
+/// Number of states above which a row counts as several, as the work on it grows with the cube of this number: with 500
+/// states, nine passes over three tests of twenty rows took 140 s.
 const FEW_STATES: usize = 10;
 /// Rows that the filter takes together.
 const ROWS_OF_A_BATCH: usize = 1 << 14;
@@ -59,10 +60,8 @@ pub enum NoMisfit {
     /// Groups of tests cross.
     #[error("with crossed factors no test is independent of the others")]
     Crossed,
-    /// A single unit takes more work than all units may.
-    #[error(
-        "each of {passes} terms takes a pass of the filter with {states} states over the data, which is too much work"
-    )]
+    /// With so many states, even the unit with fewest rows takes more work than all units may.
+    #[error("its terms take {passes} passes of a filter with {states} states over the data, which is too much work")]
     Work {
         /// Number of states of the phase with most.
         states: usize,
@@ -152,15 +151,16 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
     let units = levels::units(&tests, of.grouping);
     let terms = candidates(&model, of.model, &tests);
     let columns = Columns::new(&model, of, &terms)?;
-    let (most, passes) = (row_passes(&model), columns.passes());
-    if units.iter().map(|unit| unit.rows(&tests)).min().is_some_and(|least| least * passes > most) {
-        return Err(NoMisfit::Work { states: most_states(&model), passes });
+    let (states, passes) = (most_states(&model), columns.passes());
+    let least = units.iter().map(|unit| unit.rows(&tests)).min().unwrap_or(0);
+    if has_too_many_states(states, least * passes) {
+        return Err(NoMisfit::Work { states, passes });
     }
     let mut found = Misfit::default();
     let Some(large) = whole(of, (&model, &tests, &units), &mut found, &mut |share| go_on(0.5 * share))? else {
         return Ok(Misfit::default());
     };
-    let units = chosen(units, &tests, (passes, most));
+    let units = chosen(units, &tests, (passes, row_passes(states)));
     let (mut score, mut steps) = (Score::new(&columns, &terms), StepMeans::new(&columns));
     let mut shared = SharedSteps::default();
     let all = units.len().max(1) as f64;
@@ -222,9 +222,14 @@ fn whole(
     Ok(Some(large))
 }
 
-/// Most rows that the filter passes, at least 1.
-fn row_passes(model: &PhasedModel) -> usize {
-    let states = most_states(model);
+/// Whether so many rows are too many for a filter of so many states. With few states a long record is looked at however
+/// long it is: that takes some ten passes, and the search takes hundreds.
+fn has_too_many_states(states: usize, rows: usize) -> bool {
+    states > FEW_STATES && rows > row_passes(states)
+}
+
+/// Most rows that a filter of so many states passes, at least 1.
+fn row_passes(states: usize) -> usize {
     let cube = |n: usize| n.saturating_pow(3);
     (MAX_ROW_PASSES.saturating_mul(cube(FEW_STATES)) / cube(states.max(FEW_STATES))).max(1)
 }
@@ -266,5 +271,18 @@ impl Term {
             p_value: statistic.p_value(),
             largest,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_records_of_few_states_are_looked_at_and_hundreds_of_states_are_not() {
+        assert!(!has_too_many_states(1, 100_000_000), "a record of 10^7 rows, ten passes");
+        assert!(!has_too_many_states(18, 40_000), "1 000 rows, forty passes");
+        assert!(has_too_many_states(500, 180), "20 rows, nine passes");
+        assert_eq!((row_passes(3), row_passes(20), row_passes(10_000)), (MAX_ROW_PASSES, MAX_ROW_PASSES / 8, 1));
     }
 }

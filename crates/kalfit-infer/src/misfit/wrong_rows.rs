@@ -12,8 +12,8 @@ use kalfit_filter::innovations::{Innovation, InnovationFilter, Innovations};
 use kalfit_model::{Evidence, PhasedModel, PhasedTest, Source, TestId};
 
 use crate::misfit::columns::UnitColumns;
-use crate::misfit::row_passes;
 use crate::misfit::score::FTest;
+use crate::misfit::{most_states, row_passes};
 
 /// Most tests that are looked at.
 const MAX_TESTS: usize = 20;
@@ -72,7 +72,7 @@ impl LargeInnovations {
         self.0.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.to_string().cmp(&b.1.to_string())));
         self.0.truncate(MAX_TESTS);
         let test = |id: &TestId| tests.iter().find(|test| test.id == *id);
-        let most = row_passes(model) / self.0.len().max(1);
+        let most = row_passes(most_states(model)) / self.0.len().max(1);
         self.0.iter().filter_map(|(_, id, row)| most_wrong(filter, (model, test(id)?), (*row, most), whole)).collect()
     }
 }

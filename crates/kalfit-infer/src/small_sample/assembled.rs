@@ -104,13 +104,15 @@ fn forest(
     Some(Forest { crossed: border.effects(), ..forest })
 }
 
-/// F of each level, p × p, then that of all effects of crossed factors, M × M.
+/// F of each level, p × its columns that are not zero, then that of all effects of crossed factors.
 fn roots(state: &FinalState, p: usize, effects: Option<&CrossedEffects>) -> Vec<DMatrix<f64>> {
     let (root, scale) = (&state.newton_iterate.point.root, &state.problem.classes.frame.scale);
     let levels = root.nrows() / p.max(1);
     let of = |level: usize| {
         let start = level * p;
-        DMatrix::from_fn(p, root.ncols(), |i, c| root[(start + i, c)] * scale[start + i] / scale[i])
+        let own = root.rows(start, p);
+        let columns: Vec<usize> = (0..root.ncols()).filter(|&c| own.column(c).iter().any(|x| *x != 0.0)).collect();
+        DMatrix::from_fn(p, columns.len(), |i, c| own[(i, columns[c])] * scale[start + i] / scale[i])
     };
     let mut roots: Vec<DMatrix<f64>> = (0..levels).map(of).collect();
     if let Some(effects) = effects {

@@ -61,15 +61,18 @@ impl CrossedEffects {
         Some(self.starts[..self.starts.len() - 1].iter().enumerate().map(of_factor).collect())
     }
 
-    /// F of the covariance of all effects, block by block, from F of the Σ of each factor (p × c): M × (columns for each
-    /// group).
+    /// F of the covariance of all effects, block by block, from F of the Σ of each factor, p × its columns.
     pub(super) fn root(&self, of_factors: &[DMatrix<f64>]) -> DMatrix<f64> {
-        let columns = of_factors.first().map_or(0, DMatrix::ncols);
-        let mut all = DMatrix::zeros(self.len(), self.len() / self.states.max(1) * columns);
-        for (factor, root) in of_factors.iter().enumerate() {
-            for start in self.starts_of_groups(factor) {
-                all.view_mut((start, start / self.states * columns), root.shape()).copy_from(root);
-            }
+        let blocks: Vec<(usize, &DMatrix<f64>)> = of_factors
+            .iter()
+            .enumerate()
+            .flat_map(|(factor, root)| self.starts_of_groups(factor).map(move |start| (start, root)))
+            .collect();
+        let mut all = DMatrix::zeros(self.len(), blocks.iter().map(|(_, root)| root.ncols()).sum());
+        let mut column = 0;
+        for (start, root) in blocks {
+            all.view_mut((start, column), root.shape()).copy_from(root);
+            column += root.ncols();
         }
         all
     }
