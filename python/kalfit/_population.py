@@ -159,6 +159,8 @@ class Factor(Level):
         super().__init__(record)
         effects = record.get("effects", [])
         p = len(self.states)
+        #: Column of each slot, where a test has several members of the factor; empty otherwise.
+        self.slots: dict[str, str] = {one["slot"]: one["column"] for one in record.get("slots", [])}
         #: Name of each level.
         self.names: list[str] = [effect["id"] for effect in effects]
         #: Number of tests that meet each level.

@@ -116,11 +116,12 @@ impl Classes {
 
     /// The classes with the groups of the tests. The reductions must be in the states of the test and of each group of
     /// the test, and every test must be in a group. The centre moves to the states of the test, as the sum over the
-    /// levels; other states are centred at zero.
+    /// levels; other states are centred at zero. States that one effect acts on get one scale.
     pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
-        let centre = self.frame.centred(grouping.depth() + 1);
-        if centre != self.frame {
-            self = Classes { frame: centre, ..self }.regathered(reductions, false);
+        let levels = grouping.depth() + 1;
+        let frame = self.frame.centred(levels).with_shared_scales(levels, grouping.all_slots());
+        if frame != self.frame {
+            self = Classes { frame, ..self }.regathered(reductions, false);
         }
         let units = Units::new(reductions, &self, grouping).expect("every test is in a group");
         if self.remote.is_none() {

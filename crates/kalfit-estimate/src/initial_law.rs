@@ -40,7 +40,7 @@ pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option
             units[if k < p { k } else { k - p + all_states }] * half[(k, c)]
         })
     };
-    let half = whole.clone().map(of_test);
+    let (half, slots) = (whole.clone().map(of_test), problem.slots());
     let given = |units: &Arc<Units>| match problem.classes.remote {
         Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.message() }),
         None => joint_posteriors((units, frame), (point, &problem.mean.regressors), half.as_ref()),
@@ -48,13 +48,28 @@ pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option
     InitialLaw {
         mean: DVector::from_fn(p, |i, _| (0..levels).map(|l| mean[l * p + i]).sum()),
         regression: problem.mean.regressors.iter().copied().zip(coefficients).collect(),
-        root: DMatrix::from_fn(p, levels * point.root.ncols(), |i, c| {
-            let (l, c) = (c / point.root.ncols(), c % point.root.ncols());
-            frame.scale[l * p + i] * point.root[(l * p + i, c)]
-        }),
+        root: side_by_side(
+            p,
+            (0..levels).map(|l| {
+                let block = |i: usize, c: usize| frame.scale[l * p + i] * point.root[(l * p + i, c)];
+                slots.of_states(l, &DMatrix::from_fn(p, point.root.ncols(), block))
+            }),
+        ),
         mean_half: whole.as_ref().map(in_units),
         given: problem.classes.units.as_ref().map(given).map(Arc::new),
     }
+}
+
+/// Matrices of p rows, side by side.
+fn side_by_side(p: usize, blocks: impl Iterator<Item = DMatrix<f64>>) -> DMatrix<f64> {
+    let blocks: Vec<DMatrix<f64>> = blocks.collect();
+    let mut all = DMatrix::zeros(p, blocks.iter().map(DMatrix::ncols).sum());
+    let mut first = 0;
+    for block in blocks {
+        all.columns_mut(first, block.ncols()).copy_from(&block);
+        first += block.ncols();
+    }
+    all
 }
 
 /// The law with the posterior of each test given all tests of these units, at a point.

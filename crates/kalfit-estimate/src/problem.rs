@@ -1,5 +1,6 @@
 //! The problem that a search solves: classes of tests, the structure of μ and Σ, and a count of the passes.
 
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -21,7 +22,7 @@ use crate::sums::Sums;
 use crate::{Combination, Criterion, Structure};
 use kalfit_algebra::symmetric;
 use kalfit_filter::reduce::Reductions;
-use kalfit_model::{Population, StructureError};
+use kalfit_model::{LevelSlots, Population, StructureError};
 
 /// The problem to maximise ℓ(μ, Σ) of the reductions under a structure, or the restricted likelihood.
 #[derive(Debug)]
@@ -88,6 +89,27 @@ impl Problem {
         })
     }
 
+    /// How the effects of each level enter a test.
+    pub(crate) fn slots(&self) -> LevelSlots {
+        self.classes.units.as_ref().map_or_else(LevelSlots::default, |units| units.grouping.slots())
+    }
+
+    /// The point at which a test by itself has its marginal law: where a test has several members of one factor, the sum
+    /// of the covariances of all levels on its states; else `point`.
+    pub fn marginal<'a>(&self, point: &'a Point) -> Cow<'a, Point> {
+        let Some(units) = self.classes.units.as_ref().filter(|units| units.grouping.all_slots().next().is_some())
+        else {
+            return Cow::Borrowed(point);
+        };
+        let (p, slots) = (units.states, units.grouping.slots());
+        let covariance = point.covariance();
+        let block = |level: usize| covariance.view((level * p, level * p), (p, p)).into_owned();
+        let all = (0..units.levels()).fold(DMatrix::zeros(p, p), |sum, l| sum + slots.spread(l, &block(l)));
+        let mut root = DMatrix::zeros(point.root.nrows(), point.root.ncols());
+        root.view_mut((0, 0), (p, p)).copy_from(&symmetric::square_root(&all));
+        Cow::Owned(Point { root, ..point.clone() })
+    }
+
     /// Whether level `level` of groups, the index of a block of Σ, has only one group.
     pub fn is_one_group(&self, level: usize) -> bool {
         level > 0 && self.classes.units.is_some() && self.classes.present[level] <= 1.0
@@ -103,7 +125,7 @@ impl Problem {
         };
         let alone = alone.ok()?;
         let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
-        let Population { mean, coefficients, covariance } = self.values_of(point).together(p);
+        let Population { mean, coefficients, covariance } = self.values_of(point).together(p, &self.slots());
         let root = symmetric::square_root(&frame.covariance_in(&covariance));
         let (mean, coefficients) = alone.mean.in_eta(frame, &mean, &coefficients);
         Some((alone, Point { mean, coefficients, root }))

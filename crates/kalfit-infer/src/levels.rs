@@ -130,8 +130,9 @@ pub(super) fn posteriors(
     let grouped_tests = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
     let found = grouped_tests.at(point);
     let grouping = &grouped_tests.units.grouping;
+    let alone = problem.marginal(point);
     let own: Vec<(f64, Distance)> =
-        (0..evidence.len()).into_par_iter().map(|j| distance(problem, point, evidence, j)).collect();
+        (0..evidence.len()).into_par_iter().map(|j| distance(problem, &alone, evidence, j)).collect();
     let mut tests = Posteriors::new(vec![grouped_tests.units.states]);
     for (j, own) in own.into_iter().enumerate() {
         let number = grouping.number(evidence.id(j)).expect("it was grouped");
@@ -163,7 +164,7 @@ pub(super) fn deletions(
     let whole = problem.likelihood(&estimate.state.newton_iterate.point, Order::First).value;
     let tests = progress.each(evidence.len(), |j| {
         let (point, found) = grouped_tests.without(estimate, &[j], whole)?;
-        let (_, distance) = distance(problem, &point, evidence, j);
+        let (_, distance) = distance(problem, &problem.marginal(&point), evidence, j);
         Some(Deletion { distance, ..found })
     })?;
     let grouping = &grouped_tests.units.grouping;
@@ -171,7 +172,7 @@ pub(super) fn deletions(
         let mut members = vec![Vec::new(); grouping.groups(level).len()];
         for j in 0..evidence.len() {
             let number = grouping.number(evidence.id(j)).expect("it was grouped");
-            members[grouping.group_of(number, level)].push(j);
+            grouping.groups_of(number, level).into_iter().for_each(|group| members[group].push(j));
         }
         let without = |group: usize| {
             let (point, found) = grouped_tests.without(estimate, &members[group], whole)?;

@@ -180,7 +180,7 @@ fn levels(
     let states = model.phases[0].model.estimated_names();
     let inner = |level: usize| match level {
         _ if level >= grouping.nested() => {
-            (0..grouping.tests()).map(|test| grouping.group_of(test, level)).collect::<Vec<_>>()
+            (0..grouping.tests()).flat_map(|test| grouping.groups_of(test, level)).collect::<Vec<_>>()
         }
         0 => (0..grouping.tests()).map(|test| grouping.group_of(test, 0)).collect::<Vec<_>>(),
         _ => grouping.groups(level - 1).iter().filter_map(|group| group.parent).collect(),
@@ -198,7 +198,7 @@ fn levels(
                 .and_then(|inner| model.levels.iter().nth_back(inner))
                 .map_or("test".to_owned(), |of| of.name.clone()),
             members_each: (members.iter().copied().min().unwrap_or(0), members.iter().copied().max().unwrap_or(0)),
-            states: states.clone(),
+            states: named.effect_names(&states),
             unidentified: blind.next().unwrap_or_default(),
         }
     };

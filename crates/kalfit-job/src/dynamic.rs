@@ -76,7 +76,7 @@ pub(crate) fn fit(
         groups::add(job, &mut record, &groups, (model, &fit.alpha, &fit.estimate, &fit.reductions), work)?;
     }
     record.add_levels((model, &reading.labels), fit.estimate.grouping().map(|grouping| &**grouping), &inference);
-    let population = Population::from(&fit.estimate).together(model.dimension());
+    let population = Population::from(&fit.estimate).together(model.dimension(), &model.slots());
     lost::add(&mut record, (model, &fit.alpha, &population), &fit.reductions, (&tests, &reading));
     if ends.len() > 1 {
         record.add_methods(ends);
@@ -108,7 +108,7 @@ pub(crate) fn known(
         TestSorting { by: groups.as_ref(), levels: grouping.as_ref().map(|grouping| (grouping, &reading.labels)) };
     let reductions = reductions::of_all(&spec.model, alpha, (tests, reading), work)?;
     let (mut record, population) = record(job, spec, given, (alpha, &reductions, sorted), work)?;
-    let together = population.together(spec.model.dimension());
+    let together = population.together(spec.model.dimension(), &spec.model.slots());
     lost::add(&mut record, (&spec.model, alpha, &together), &reductions, (tests, reading));
     if job.innovations {
         innovations::add_of(&mut record, (&spec.model, alpha, &together), tests, work);

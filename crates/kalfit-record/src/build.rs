@@ -219,12 +219,19 @@ fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<Constr
         let cut = cuts.iter().find(|cut| cut.element(first).is_some()).expect("an element is of some phase");
         constraint(cut, sensitivity)
     };
-    sensitivities.iter().map(of).collect()
+    // that an effect does not exist is no constraint
+    let exists = |sensitivity: &&Sensitivity| {
+        let Element::Covariance(i, k) = sensitivity.element else { return true };
+        let cut = cuts.iter().find(|cut| cut.element(i).is_some());
+        let level = cut.and_then(|cut| Some((cut, cut.level?)));
+        level.is_none_or(|(cut, level)| [i, k].iter().all(|e| level.has_effect(e - cut.elements.start)))
+    };
+    sensitivities.iter().filter(exists).map(of).collect()
 }
 
 fn constraint(cut: &BlockCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
-    let model = &cut.phase.model;
-    let name = |i: usize| &model.states[model.estimated[i - cut.elements.start]].name;
+    let names = cut.states();
+    let name = |i: usize| &names[i - cut.elements.start];
     ConstraintRecord {
         element: match sensitivity.element {
             Element::Mean(i) => format!("mean[{}]", name(i)),

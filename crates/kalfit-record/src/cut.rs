@@ -62,7 +62,8 @@ impl<'a> BlockCut<'a> {
 
     /// Names of the block's states, without the name of the phase.
     pub(super) fn states(&self) -> Vec<String> {
-        self.phase.model.estimated_names()
+        let names = self.phase.model.estimated_names();
+        self.level.map_or(names.clone(), |level| level.effect_names(&names))
     }
 
     /// The block's part of a list with one entry per element.

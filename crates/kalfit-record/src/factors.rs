@@ -32,7 +32,8 @@ pub fn factor_notes(model: &PhasedModel, grouping: &Grouping) -> Vec<String> {
         for (beside, other) in model.levels.iter().enumerate().skip(at + 1) {
             // a factor crosses a nested level if it crosses the outermost one; the inner ones say nothing new
             let is_outermost = other.crossed || beside == model.factors().len();
-            if is_outermost {
+            let has_slots = [factor, other].iter().any(|level| !level.members.is_empty());
+            if is_outermost && !has_slots {
                 notes.extend(relation_note(factor, other, relation(grouping, level_of(at), level_of(beside))));
             }
         }

@@ -15,7 +15,7 @@ use crate::{
 use kalfit_apply::predict::Initial;
 use kalfit_infer::{Estimand, GroupPosterior, Inference};
 use kalfit_model::{Grouping, Labels};
-use kalfit_model::{PhasedModel, Population};
+use kalfit_model::{PhasedModel, Population, slot_of};
 
 /// The variation between groups of a level, or between tests within the groups.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,9 +24,13 @@ pub struct LevelRecord {
     pub name: String,
     /// Column that names the groups; null for the level of the tests.
     pub column: Option<String>,
+    /// Columns of a crossed factor by slot, where a test has several of its levels.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub slots: Vec<SlotRecord>,
     /// Number of groups; for the level of the tests, their number.
     pub groups: usize,
-    /// Estimated states, in the order of every matrix.
+    /// Estimated states, in the order of every matrix. With slots, the effects, each named as the states it acts on
+    /// without the slot, in the place of the first of them.
     pub states: Vec<String>,
     /// Σ of the level.
     pub covariance: CovarianceRecord,
@@ -38,6 +42,15 @@ pub struct LevelRecord {
     pub boundary: Vec<BoundaryRecord>,
     /// Directions that the data do not determine.
     pub unidentified: Vec<UnidentifiedRecord>,
+}
+
+/// A slot of a factor of which a test has several members.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SlotRecord {
+    /// Name of the slot, which the names of its states end in.
+    pub slot: String,
+    /// Column that names the member in the slot.
+    pub column: String,
 }
 
 /// The variation of a crossed factor.
@@ -110,6 +123,7 @@ impl LevelRecord {
         LevelRecord {
             name,
             column,
+            slots: Vec::new(),
             groups,
             states: block.states.clone(),
             covariance: block.covariance.clone(),
@@ -118,6 +132,26 @@ impl LevelRecord {
             boundary: block.boundary.clone(),
             unidentified: block.unidentified.clone(),
         }
+    }
+}
+
+impl LevelRecord {
+    /// For each slot the effect on each of the estimated states of these names; without slots, each effect acts on its
+    /// own state.
+    pub fn effects_by_slot(&self, states: &[String]) -> Vec<Vec<Option<usize>>> {
+        if self.slots.is_empty() {
+            return vec![(0..states.len()).map(Some).collect()];
+        }
+        let effect = |slot: &SlotRecord, state: &String| {
+            let (own, stem) = slot_of(state, self.slots.iter().map(|one| one.slot.as_str()))?;
+            self.states.iter().position(|name| own == slot.slot && name == stem)
+        };
+        self.slots.iter().map(|slot| states.iter().map(|state| effect(slot, state)).collect()).collect()
+    }
+
+    /// The effect on state i of these estimated states, in whatever slot.
+    pub fn effect_on(&self, states: &[String], i: usize) -> Option<usize> {
+        self.effects_by_slot(states).iter().find_map(|slot| *slot.get(i)?)
     }
 }
 

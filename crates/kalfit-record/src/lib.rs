@@ -60,7 +60,7 @@ pub use estimates::{EstimatesRecord, FewTestsLawRecord};
 pub use exported::{EXPORT_SCHEMA, ExportRecord, ExportSource, Words};
 pub use factors::factor_notes;
 pub use figure::{Figure, FigureField, FigureKind, FigureUnit, FigureValue};
-pub use group_levels::{EffectRecord, FactorRecord, LevelRecord, UnitRecord};
+pub use group_levels::{EffectRecord, FactorRecord, LevelRecord, SlotRecord, UnitRecord};
 pub use heterogeneity::HeterogeneityRecord;
 pub use levels::{LevelCounts, level_notes};
 pub use misfit::{MisfitRecord, MisfitTermRecord, NormalityRecord, UnlikeRecord, WrongRowRecord};

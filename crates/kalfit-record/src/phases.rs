@@ -6,7 +6,8 @@ use crate::cut::{BlockCut, phases_of};
 use crate::{
     BoundaryRecord, CoefficientLawRecord, CovarianceRecord, FactorRecord, FilterRecord, FitRecord,
     InformationLostRecord, InformationRecord, LevelRecord, MatrixRecord, MeanLawRecord, MeanRecord,
-    ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord, VectorRecord, WeakRecord,
+    ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord, SlotRecord, UnidentifiedRecord, VectorRecord,
+    WeakRecord,
 };
 use kalfit_algebra::elements::Element;
 use kalfit_apply::plan::Quantity;
@@ -15,7 +16,7 @@ use kalfit_estimate::Estimate;
 use kalfit_filter::reduce::Reductions;
 use kalfit_infer::Interval;
 use kalfit_infer::{Boundary, Inference, MeanTest};
-use kalfit_model::{CovarianceKind, MeanElement, MeanStructure, PhasedModel, Regression};
+use kalfit_model::{CovarianceKind, MeanElement, MeanStructure, Membership, PhasedModel, Regression};
 
 /// Name of the level of the tests themselves.
 const TESTS: &str = "tests";
@@ -40,7 +41,12 @@ pub(super) fn phases_and_levels(
     let one = |(level, block): (usize, PhaseRecord)| {
         let own = model.levels.iter().rev().nth(level).expect("a level for each block");
         let column = Some(model.shared().text_columns[own.column].name.clone());
-        LevelRecord::new(own.name.clone(), column, count(level + 1), &block)
+        let slot = |member: &Membership| SlotRecord {
+            slot: member.slot.clone(),
+            column: model.shared().text_columns[member.column].name.clone(),
+        };
+        let slots = own.members.iter().map(slot).collect();
+        LevelRecord { slots, ..LevelRecord::new(own.name.clone(), column, count(level + 1), &block) }
     };
     let mut factors: Vec<LevelRecord> = levels.into_iter().enumerate().map(one).rev().collect();
     let mut levels = factors.split_off(model.factors().len());

@@ -66,6 +66,9 @@ impl DynamicError {
                 Some("give the rows of the test, which name its groups")
             }
             DynamicError::Grouping(GroupingError::NoName { .. }) => Some("give every row the names of its groups"),
+            DynamicError::Grouping(GroupingError::Twice { .. }) => {
+                Some("one instrument is in one place at a time; a slot that is empty has an empty cell")
+            }
             DynamicError::Grouping(GroupingError::Varies { .. }) => {
                 Some("a column of `levels` is constant within a test; tests of other groups have other ids")
             }

@@ -65,6 +65,7 @@ fn crossed(model: &PhasedModel) -> (PhasedModel, Vec<PhasedTest>) {
         column,
         crossed,
         covariance: kalfit_model::CovarianceStructure::full(),
+        members: Vec::new(),
     };
     model.levels = vec![factor("station", 2, true), factor("day", 3, true), factor("unit", 4, false)];
     for name in ["station", "day", "unit"] {

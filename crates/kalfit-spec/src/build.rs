@@ -47,7 +47,8 @@ pub(crate) fn model(text: &str, mut root: TomlTable<'_>, purpose: ReadPurpose<'_
     let title = root.take("title").map_or(Ok(""), |title| title.text())?.to_owned();
     let mut context = NameContext::new(text);
     context.reads = purpose.reads();
-    let mut data = data::read(&mut context, root.take("data"))?;
+    let slotted = levels::slotted(root.peek("crossed").as_ref());
+    let mut data = data::read(&mut context, root.take("data"), &slotted)?;
     let declared = parameters::read(&mut context, root.take("parameters"))?;
     let sources = phases::open(&mut root)?;
     data.check_phases(&sources)?;

@@ -41,8 +41,17 @@ pub(crate) struct FirstStep {
 }
 
 /// Reads `[data]`; without it all rows are one test.
-pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) -> Result<DataSpec> {
-    let Some(field) = field else { return Ok(DataSpec::default()) };
+/// `slotted`: factors of several levels in one test, which are no columns.
+pub(crate) fn read(
+    context: &mut NameContext<'_>,
+    field: Option<TomlField<'_>>,
+    slotted: &[(&str, Span)],
+) -> Result<DataSpec> {
+    let Some(field) = field else {
+        let mut data = DataSpec::default();
+        data.factors(context, None, slotted)?;
+        return Ok(data);
+    };
     let mut section = field.section(PLACE)?.with_keys(keys::DATA)?;
     let mut data = DataSpec { span: section.span.clone(), ..DataSpec::default() };
     if let Some(test) = section.take("test") {
@@ -50,21 +59,13 @@ pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) 
     }
     let (levels, crossed) = (section.take("levels"), section.take("crossed"));
     // a reader that needs no columns of levels still meets the keys that go with them
-    context.grouped = levels.is_some() || crossed.is_some();
-    if crossed.is_some() && data.layout.test == TestKey::Single {
-        data.layout.test = TestKey::Row; // one test cannot meet several levels of a factor
-    }
+    context.grouped = levels.is_some();
     if let Some(levels) = levels.filter(|_| context.reads.levels) {
-        let columns = levels::columns(context, (&levels, GroupKind::Levels), &data.layout.test)?;
+        let columns = levels::columns(context, (&levels, GroupKind::Levels), &data.layout.test, &[])?;
         data.layout.levels = columns.names().map(str::to_owned).collect();
         data.levels = Some(columns);
     }
-    if let Some(crossed) = crossed.filter(|_| context.reads.levels) {
-        let columns = levels::columns(context, (&crossed, GroupKind::Crossed), &data.layout.test)?;
-        columns.refuse_shared(data.levels.as_ref())?;
-        data.layout.crossed = columns.names().map(str::to_owned).collect();
-        data.crossed = Some(columns);
-    }
+    data.factors(context, crossed.as_ref(), slotted)?;
     if let Some(missing) = section.take("missing") {
         data.layout.missing = missing.texts()?.into_iter().map(|(text, _)| text.to_owned()).collect();
     }
@@ -185,6 +186,33 @@ fn initial_time(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<
 }
 
 impl DataSpec {
+    /// The crossed factors: those that are columns, and those with slots.
+    fn factors(
+        &mut self,
+        context: &mut NameContext<'_>,
+        listed: Option<&TomlField<'_>>,
+        slotted: &[(&str, Span)],
+    ) -> Result<()> {
+        if listed.is_none() && slotted.is_empty() {
+            return Ok(());
+        }
+        context.grouped = true;
+        if self.layout.test == TestKey::Single {
+            self.layout.test = TestKey::Row; // one test cannot meet several levels of a factor
+        }
+        if !context.reads.levels {
+            return Ok(());
+        }
+        let columns = |field| levels::columns(context, (field, GroupKind::Crossed), &self.layout.test, slotted);
+        let all = GroupColumns::with_slotted(listed.map(columns).transpose()?, slotted);
+        if let Some(all) = &all {
+            all.refuse_shared(self.levels.as_ref())?;
+            self.layout.crossed = all.columns().map(str::to_owned).collect();
+        }
+        self.crossed = all;
+        Ok(())
+    }
+
     /// The clock of a phase: a phase of the file says itself where its x_0 is.
     pub(crate) fn clock(
         &mut self,

@@ -1,7 +1,7 @@
 //! The whole model in plain words.
 
 use kalfit::TestKey;
-use kalfit::model::{Filter, Model, Phase};
+use kalfit::model::{Filter, Membership, Model, Phase};
 
 use crate::figure::figure;
 use crate::show;
@@ -40,18 +40,28 @@ impl Spec {
     /// What varies from group to group, level by level, and from level to level of each crossed factor.
     fn levels(&self) -> Vec<String> {
         let words = ModelWords { model: self.model.shared() };
+        let states = self.model.shared().estimated_names();
         let mut lines = Vec::new();
         for (depth, level) in self.model.nested().iter().enumerate() {
             let groups = format!("one group for each value of {}", columns(&self.layout.levels[..=depth]));
             lines.push(format!("level `{}`: {groups}", level.name));
-            let facts = words.structure("covariance Σ from group to group", &level.covariance);
+            let facts = words.structure("covariance Σ from group to group", &level.covariance, &states);
             lines.extend(facts.into_iter().map(|fact| format!("level `{}`: {fact}", level.name)));
         }
         for factor in self.model.factors() {
             let name = &factor.name;
-            lines.push(format!("crossed factor `{name}`: one effect for each value of column `{name}`"));
+            let column = |column: usize| &self.model.shared().text_columns[column].name;
+            let slot = |member: &Membership| format!("`{}` in slot `{}`", column(member.column), member.slot);
+            let of = match &factor.members[..] {
+                [] => format!("column `{name}`"),
+                members => format!("columns {}", members.iter().map(slot).collect::<Vec<_>>().join(", ")),
+            };
+            lines.push(format!("crossed factor `{name}`: one effect for each value of {of}"));
             let what = format!("covariance Σ from {name} to {name}");
-            let facts = words.structure(&what, &factor.covariance);
+            // that a state without an effect has no variance is no constraint
+            let mut covariance = factor.covariance.clone();
+            covariance.fixed.retain(|element| factor.has_effect(element.i) && factor.has_effect(element.j));
+            let facts = words.structure(&what, &covariance, &factor.effect_names(&states));
             lines.extend(facts.into_iter().map(|fact| format!("crossed factor `{name}`: {fact}")));
         }
         lines

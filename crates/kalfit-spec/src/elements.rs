@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use kalfit::model::{Initial, State};
+use kalfit::model::{Initial, Membership, State, effect_names};
 
 use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
 use crate::names::NameIndex;
@@ -35,6 +35,8 @@ pub(crate) struct NamedElements {
     pub(crate) varies: Vec<bool>,
     /// The list that says so, in words.
     list: Option<String>,
+    /// States that are no effects here, and why.
+    without_effect: HashMap<String, String>,
 }
 
 impl NamedElements {
@@ -47,7 +49,36 @@ impl NamedElements {
         let others = states.iter().filter(|state| state.initial != Initial::Estimated);
         let others = others.map(|state| (state.name.clone(), start_words(&state.initial))).collect();
         let random: Vec<bool> = estimated.iter().map(|&state| states[state].random).collect();
-        NamedElements { index, others, kind: ElementSet::Estimated, varies: random.clone(), random, list: None }
+        NamedElements {
+            index,
+            others,
+            kind: ElementSet::Estimated,
+            varies: random.clone(),
+            random,
+            list: None,
+            without_effect: HashMap::new(),
+        }
+    }
+
+    /// The effects of a factor with slots, which act on the states of each slot; other states do not vary.
+    pub(crate) fn of_slots(&self, members: &[Membership]) -> NamedElements {
+        let names: Vec<String> = (0..self.len()).map(|i| self.name(i)).collect();
+        let effects = effect_names(members, &names);
+        let pairs = || members.iter().flat_map(|member| member.selection.pairs());
+        let is_effect = |i: usize| pairs().any(|pair| pair.1 == i);
+        let mut own = NamedElements { index: NameIndex::default(), without_effect: HashMap::new(), ..self.clone() };
+        for (i, name) in names.iter().enumerate() {
+            own.index.add(&effects[i], 0..0);
+            own.random[i] = self.random[i] && is_effect(i);
+            if !(0..self.len()).any(|other| is_effect(other) && effects[other] == *name) {
+                let hint = match pairs().find(|pair| pair.0 == i) {
+                    Some((_, effect)) => format!("here it is `{}`, in whatever slot", effects[*effect]),
+                    None => "it is of no slot".to_owned(),
+                };
+                own.without_effect.insert(name.clone(), hint);
+            }
+        }
+        NamedElements { varies: own.random.clone(), ..own }
     }
 
     /// All states, hidden ones too.
@@ -64,6 +95,7 @@ impl NamedElements {
             varies: random.clone(),
             random,
             list: None,
+            without_effect: HashMap::new(),
         }
     }
 
@@ -123,6 +155,10 @@ impl NamedElements {
 
     /// The element of a name.
     pub(crate) fn find(&self, name: &str, place: &str, span: &Span) -> Result<usize> {
+        if let Some(hint) = self.without_effect.get(name) {
+            let (name, place, hint) = (name.to_owned(), place.to_owned(), hint.clone());
+            return Err(SpecError::new(StructureProblem::NoEffectOf { name, place, hint }).at(span.clone()));
+        }
         if let Some(i) = self.index.get(name) {
             return Ok(i);
         }

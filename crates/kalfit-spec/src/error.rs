@@ -253,6 +253,15 @@ pub enum StructureProblem {
     /// The same name twice in a list.
     #[error("`{name}` stands twice in {place}")]
     ListedTwice { name: String, place: String },
+    /// A slot of a factor that no state is of.
+    #[error("no estimated state is named `{state}`, but {place} has a slot `{slot}`")]
+    NoStateOfSlot { slot: String, place: String, state: String },
+    /// States of two slots that one effect cannot act on.
+    #[error("{place} makes one effect act on `{first}` and on `{second}`, but their {what} differ")]
+    UnlikeSlots { first: String, second: String, what: &'static str, place: String },
+    /// A name of a state where effects are named.
+    #[error("{place} has no effect on `{name}` by itself: {}", hint.as_str())]
+    NoEffectOf { name: String, place: String, hint: String },
     /// A name left out of a list that must be whole.
     #[error("`{name}` is missing in {place}")]
     NotListed { name: String, place: String },

@@ -30,6 +30,8 @@ pub(crate) enum Takes {
     Expressions,
     /// A table of lists of texts by name.
     TextsByName,
+    /// A table of texts by name.
+    TextByName,
     /// A matrix of expressions.
     Matrix,
     /// A matrix of numbers.
@@ -78,8 +80,8 @@ pub(crate) const ROOT: &[Key] = &[
     key("levels", Takes::Tables(LEVEL), "The covariance from group to group, by the column of `levels` in `[data]`."),
     key(
         "crossed",
-        Takes::Tables(LEVEL),
-        "The covariance of the effects of a crossed factor, by the column of `crossed` in `[data]`.",
+        Takes::Tables(FACTOR),
+        "The covariance of the effects of a crossed factor, by the column of `crossed` in `[data]`, and its slots.",
     ),
     key(
         "phases",
@@ -191,11 +193,19 @@ const START_MATRIX: Key = key("start", Takes::NumberMatrix, "Where the search st
 const VARYING: Key = key("states", Takes::Texts, "The states that differ within the groups; none for `[]`.");
 
 /// Of a level of groups.
-pub(crate) const LEVEL: &[Key] = &[key(
-    "covariance",
-    Takes::Table(COVARIANCE_OF_LEVEL),
-    "Structure and constraints of the covariance between groups.",
-)];
+pub(crate) const LEVEL: &[Key] = &[BETWEEN_GROUPS];
+const BETWEEN_GROUPS: Key =
+    key("covariance", Takes::Table(COVARIANCE_OF_LEVEL), "Structure and constraints of the covariance between groups.");
+
+/// Of a crossed factor.
+pub(crate) const FACTOR: &[Key] = &[
+    key(
+        "as",
+        Takes::TextByName,
+        "Columns of the factor by slot, as in `{ A = \"serial_a\", B = \"serial_b\" }`, where a test has several members.",
+    ),
+    BETWEEN_GROUPS,
+];
 
 /// Of a suboptimal filter.
 pub(crate) const FILTER: &[Key] = &[

@@ -12,6 +12,7 @@ use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
 use crate::keys;
 use crate::names::{NameContext, table_key};
 use crate::phases::PhaseSource;
+use crate::slots::Slots;
 use crate::suggest::{either, suggest};
 use crate::table::{TomlField, TomlTable};
 
@@ -57,16 +58,26 @@ pub(crate) struct GroupColumns {
 #[derive(Debug)]
 struct GroupColumn {
     name: String,
-    /// Text column of the model.
-    index: usize,
+    /// Text column of the model; `None` for a factor with a column for each slot.
+    index: Option<usize>,
     span: Span,
 }
 
-/// Reads `levels` or `crossed` of `[data]`.
+/// Names of the factors with slots, which are no columns, and where each is named.
+pub(crate) fn slotted<'d>(crossed: Option<&TomlField<'d>>) -> Vec<(&'d str, Span)> {
+    // what is wrong with the tables is said when they are read
+    let tables = crossed.and_then(|field| field.section("").ok());
+    let has_slots = |field: &TomlField<'d>| field.section("").is_ok_and(|table| table.peek("as").is_some());
+    let all = tables.iter().flat_map(TomlTable::fields).filter(has_slots);
+    all.map(|field| (field.key, field.key_span.clone())).collect()
+}
+
+/// Reads `levels` or `crossed` of `[data]`. `slotted`: names that are no columns.
 pub(crate) fn columns(
     context: &mut NameContext<'_>,
     (field, kind): (&TomlField<'_>, GroupKind),
     test: &TestKey,
+    slotted: &[(&str, Span)],
 ) -> Result<GroupColumns> {
     if *test == TestKey::Single {
         let hint = "all rows are one test then: `test` names the column that tells tests apart";
@@ -90,8 +101,12 @@ pub(crate) fn columns(
             let problem = StructureProblem::ListedTwice { name: name.to_owned(), place };
             return Err(SpecError::new(problem).at(span));
         }
+        if slotted.iter().any(|(own, _)| *own == name) {
+            all.push(GroupColumn { name: name.to_owned(), index: None, span });
+            continue;
+        }
         check_column(name, &span, field, test)?;
-        let index = context.text_column(name, span.clone(), &place);
+        let index = Some(context.text_column(name, span.clone(), &place));
         all.push(GroupColumn { name: name.to_owned(), index, span });
     }
     Ok(GroupColumns { kind, all, key: field.key_span.clone() })
@@ -118,6 +133,25 @@ impl GroupColumns {
     /// The names, the outermost first.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> + Clone {
         self.all.iter().map(|one| one.name.as_str())
+    }
+
+    /// The names that are columns.
+    pub(crate) fn columns(&self) -> impl Iterator<Item = &str> + Clone {
+        self.all.iter().filter(|one| one.index.is_some()).map(|one| one.name.as_str())
+    }
+
+    /// The crossed factors with those that are named by their slots alone; `None` where there are none.
+    pub(crate) fn with_slotted(found: Option<GroupColumns>, slotted: &[(&str, Span)]) -> Option<GroupColumns> {
+        let unlisted = |(name, _): &&(&str, Span)| found.as_ref().is_none_or(|own| own.names().all(|one| one != *name));
+        let column =
+            |(name, span): &(&str, Span)| GroupColumn { name: (*name).to_owned(), index: None, span: span.clone() };
+        let more: Vec<GroupColumn> = slotted.iter().filter(unlisted).map(column).collect();
+        let key = more.first().map(|one| one.span.clone());
+        match (found, key) {
+            (Some(own), _) => Some(GroupColumns { all: own.all.into_iter().chain(more).collect(), ..own }),
+            (None, Some(key)) => Some(GroupColumns { kind: GroupKind::Crossed, all: more, key }),
+            (None, None) => None,
+        }
     }
 
     /// Where each is named.
@@ -173,8 +207,15 @@ pub(crate) fn read(
     let mut levels = Vec::with_capacity(columns.all.len());
     for GroupColumn { name, index, .. } in &columns.all {
         let table = section.as_mut().and_then(|section| section.take(name));
-        let covariance = level(context, (name, kind), table, &elements)?;
-        levels.push(GroupLevel { name: name.clone(), column: *index, crossed: kind == GroupKind::Crossed, covariance });
+        let mut table = level_table((name, kind), table)?;
+        let slots = table.as_mut().and_then(|table| table.take("as"));
+        let slots = slots.map(|field| Slots::read(context, &field)).transpose()?;
+        let members = slots.map_or(Ok(Vec::new()), |slots| slots.members(states, estimated))?;
+        let of_slots = (!members.is_empty()).then(|| elements.of_slots(&members));
+        let covariance = level(context, (name, kind), table, of_slots.as_ref().unwrap_or(&elements))?;
+        let column = index.or(members.first().map(|member| member.column)).unwrap_or_default();
+        let crossed = kind == GroupKind::Crossed;
+        levels.push(GroupLevel { name: name.clone(), column, crossed, covariance, members });
     }
     Ok(levels)
 }
@@ -204,14 +245,19 @@ pub(crate) fn unknown<'n>(
     SpecError::new(problem).at(field.key_span.clone()).hint(hint)
 }
 
+fn level_table<'d>((name, kind): (&str, GroupKind), field: Option<TomlField<'d>>) -> Result<Option<TomlTable<'d>>> {
+    let known = if kind == GroupKind::Crossed { keys::FACTOR } else { keys::LEVEL };
+    let key = table_key(kind.key(), name);
+    field.map(|field| field.section(format!("`[{key}]`"))?.with_keys(known)).transpose()
+}
+
 fn level(
     context: &mut NameContext<'_>,
     (name, kind): (&str, GroupKind),
-    field: Option<TomlField<'_>>,
+    mut table: Option<TomlTable<'_>>,
     elements: &NamedElements,
 ) -> Result<CovarianceStructure> {
     let key = table_key(kind.key(), name);
-    let mut table = field.map(|field| field.section(format!("`[{key}]`"))?.with_keys(keys::LEVEL)).transpose()?;
     let own = table.as_mut().and_then(|table| table.take("covariance"));
     let own = own.map(|field| covariance::open_level(&field, format!("`[{key}.covariance]`"))).transpose()?;
     covariance::read(context, own, elements)

@@ -102,6 +102,7 @@ mod schema;
 mod semidefinite;
 mod set;
 mod show;
+mod slots;
 mod spec;
 mod states;
 mod suggest;

@@ -48,6 +48,7 @@ fn takes(takes: Takes) -> Value {
         Takes::Numbers => by_name(number),
         Takes::Expressions => by_name(expression),
         Takes::TextsByName => by_name(list(text)),
+        Takes::TextByName => by_name(text),
         Takes::Matrix => list(list(expression)),
         Takes::NumberMatrix => list(list(number)),
         Takes::Start => json!({ "anyOf": [{ "enum": ["estimated", "stationary"] }, table(keys::START)] }),

@@ -161,12 +161,12 @@ impl ModelWords<'_> {
 
     /// `place` says where the states vary so, with a space in front, when there is more than one such place.
     pub(crate) fn covariance(&self, place: &str) -> Vec<String> {
-        self.structure(&format!("covariance Σ{place}"), &self.model.covariance)
+        let names = self.model.estimated_names();
+        self.structure(&format!("covariance Σ{place}"), &self.model.covariance, &names)
     }
 
-    /// What is said of a covariance, which is called `title`.
-    pub(crate) fn structure(&self, title: &str, covariance: &CovarianceStructure) -> Vec<String> {
-        let names = self.model.estimated_names();
+    /// What is said of a covariance of what has these names, which is called `title`.
+    pub(crate) fn structure(&self, title: &str, covariance: &CovarianceStructure, names: &[String]) -> Vec<String> {
         if names.is_empty() {
             return Vec::new();
         }

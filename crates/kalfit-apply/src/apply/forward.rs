@@ -17,7 +17,7 @@ use kalfit_model::PhasedTest;
 
 impl Applied<'_> {
     pub(super) fn forward(&self, kind: StateKind, tests: Range<usize>) -> Result<Vec<Vec<PhaseStates>>, ApplyError> {
-        let combined = self.population.together(self.model.dimension());
+        let combined = self.population.together(self.model.dimension(), &self.model.slots());
         let filter = ChainedFilter::new(self.model, self.alpha, &combined)?;
         let states: Vec<Result<Vec<PhaseStates>, ReduceError>> = self.tests[tests]
             .par_iter()

@@ -134,7 +134,7 @@ impl<'a> Applied<'a> {
     /// The errors of [`innovations`].
     pub fn said(&self) -> Result<Said, ApplyError> {
         let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
-        let combined = self.population.together(self.model.dimension());
+        let combined = self.population.together(self.model.dimension(), &self.model.slots());
         let innovations = innovations(self.model, self.alpha, &combined, self.tests)?;
         let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), Posterior<'_>)| {
             let (summary, distance) = (&own.as_ref().filter(|_| self.is_all_rows(test))?.summary, &posterior.distance);

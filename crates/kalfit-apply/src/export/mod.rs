@@ -88,7 +88,7 @@ pub fn export(
     let starts = phase.carry.is_empty();
     let mut binder = Binder::new((&phase.model, alpha), wanted.step, &wanted.at)?;
     let plain = PlainModel::new(&phase.model, &mut binder, starts)?;
-    let own = population.together(model.dimension()).by_phase(model).swap_remove(at);
+    let own = population.together(model.dimension(), &model.slots()).by_phase(model).swap_remove(at);
     let mean = if starts { mean(phase, &own, &mut binder)? } else { own.mean.clone() };
     if !binder.varies.is_empty() {
         return Err(ExportError::Varies { varies: binder.varies });

@@ -35,7 +35,7 @@ use crate::predict::steps::ValueSteps;
 use crate::predict::trajectory::{Propagator, Trajectory};
 use kalfit_infer::{Estimand, Knowledge, MeanCombination};
 use kalfit_model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
-use kalfit_model::{Evidence, PhasedTest};
+use kalfit_model::{Evidence, LevelSlots, PhasedTest};
 
 /// A quantity that is linear in the states, as a measurement is, but is not measured.
 #[derive(Debug, Clone, PartialEq)]
@@ -193,6 +193,8 @@ pub struct Initial {
     pub by_estimates: Option<HashMap<Estimand, DVector<f64>>>,
     /// Indices of the blocks of Σ, one per level, that `covariance` is the sum of.
     pub levels: Range<usize>,
+    /// How the effects of each level enter the state.
+    pub slots: LevelSlots,
     /// Number of tests that a known group has; zero for a new group.
     pub group_tests: usize,
 }
@@ -200,7 +202,8 @@ pub struct Initial {
 impl Initial {
     /// Initial state of a new test, from a new group at each level.
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
-        let Population { mean, covariance, .. } = population.together(model.dimension());
+        let slots = model.slots();
+        let Population { mean, covariance, .. } = population.together(model.dimension(), &slots);
         let levels = 0..model.levels.len() + 1;
         Initial {
             mean,
@@ -210,6 +213,7 @@ impl Initial {
             by_coefficients: None,
             by_estimates: None,
             levels,
+            slots,
             group_tests: 0,
         }
     }
@@ -240,6 +244,7 @@ impl Initial {
             by_coefficients: follows.map(|follows| follows.columns(p, follows.ncols() - p).into_owned()),
             by_estimates: None,
             levels: 0..1,
+            slots: LevelSlots::default(),
             group_tests: 1,
         }
     }

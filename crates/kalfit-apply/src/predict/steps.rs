@@ -67,10 +67,14 @@ impl ValueSteps {
     ) -> bool {
         let p = initial.mean.len();
         let own = value.sensitivity.rows(0, p);
+        let largest = own.amax();
         let is_seen = |known: &Estimand| match *known {
             Estimand::Population(Estimated::Covariance(i, _)) => {
                 let is_counted = knowledge.few_tests.as_ref().is_some_and(|law| law.quantities.contains(known));
-                !is_counted && initial.levels.contains(&(i / p)) && own[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax()
+                let level = i / p;
+                let of_effects = initial.slots.of_effects(level, own.as_slice());
+                let is_felt = of_effects.iter().any(|own| own[i % p].abs() > NEGLIGIBLE_SLOPE * largest);
+                !is_counted && initial.levels.contains(&level) && is_felt
             }
             _ => false,
         };
@@ -198,9 +202,10 @@ impl<'a> Slopes<'a> {
                 [self.value.sensitivity[p + c] + known, 0.0, 0.0]
             }
             Estimated::Covariance(i, j) => {
-                let both = if i == j { 1.0 } else { 2.0 };
-                let is_own = self.initial.levels.contains(&(i / p));
-                let by_variance = if is_own { both * self.own[i % p] * self.own[j % p] } else { 0.0 };
+                let (level, both) = (i / p, if i == j { 1.0 } else { 2.0 });
+                let of_effects = self.initial.slots.of_effects(level, self.own.as_slice());
+                let product = || of_effects.iter().map(|own| own[i % p] * own[j % p]).sum::<f64>();
+                let by_variance = if self.initial.levels.contains(&level) { both * product() } else { 0.0 };
                 [self.along_group(&Estimand::Population(estimated)), by_variance, 0.0]
             }
             Estimated::Value(_) => [0.0; 3],

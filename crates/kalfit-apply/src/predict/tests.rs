@@ -168,6 +168,7 @@ fn a_known_group_is_told_from_a_new_one() {
         column: 0,
         crossed: false,
         covariance: model.phases[0].model.covariance.clone(),
+        members: Vec::new(),
     }];
     let initial = Initial::of_group(&grouped, &whole, (vec![0.9, -0.5], &left), None);
     near::mixed("variance", initial.covariance[(0, 1)], 0.4, 1e-9);

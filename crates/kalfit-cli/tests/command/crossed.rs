@@ -291,3 +291,67 @@ fn the_order_of_tests_changes_no_bit() {
     };
     assert_eq!(effects(&one), effects(&other));
 }
+
+/// A dense joint Gaussian maximised by Newton steps on differences, and degrees of freedom from its second derivatives.
+#[test]
+fn two_members_of_a_factor_in_one_test_are_those_of_the_dense_likelihood() {
+    let folder = Folder::new(&[]);
+    folder.copy("../../examples/crossed/pairs.toml");
+    folder.copy("../../examples/crossed/pairs.csv");
+    let found = fit(&folder, "pairs.toml pairs.csv --criterion reml");
+    assert!(found.converged);
+    let mean = &found.phases[0].mean;
+    close(&[found.log_likelihood, mean.estimate[0]], &[6.801595760943526, 1.057842536609245], 1e-9);
+    close(&[mean.few_tests.std_error_plain[0].expect("known")], &[0.16076460765895514], 1e-7);
+    close(&[mean.few_tests.df[0].expect("known")], &[12.8356337], 1e-6);
+    let factor = &found.crossed[0];
+    assert_eq!((factor.level.states[0].as_str(), factor.level.slots.len(), factor.effects.len()), ("bias", 2, 10));
+    let spreads = [factor.level.std_dev.estimate[0], found.phases[0].std_dev.estimate[1]];
+    close(&spreads, &[0.45344795, 0.11819272], 1e-6);
+    let values: Vec<f64> = found.parameters.iter().map(|one| one.estimate).collect();
+    close(&values, &[23.13870751, 0.50992937, 0.09318138], 1e-6);
+    assert!(found.constraints.iter().all(|one| one.level.is_none()), "an effect that does not exist is no constraint");
+    // what is simulated from the fit has the same design, and reductions the same likelihood
+    let done = |command: &str| {
+        let output = folder.run(command);
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    };
+    done("simulate pairs.toml --from fit.json --design pairs.csv --out drawn.csv --seed 1 --quiet");
+    done("reduce pairs.toml pairs.csv --from fit.json --out reduced.parquet --quiet");
+    let reduced = fit(&folder, "pairs.toml reduced.parquet --criterion reml");
+    close(&[reduced.log_likelihood], &[6.801595760943526], 1e-9);
+    assert!(fit(&folder, "pairs.toml drawn.csv").converged);
+    // the slots may be named the other way round, and the factor listed
+    let text = std::fs::read_to_string(folder.path("pairs.toml")).expect("it is there");
+    let other = text
+        .replace("{ A = \"serial_a\", B = \"serial_b\" }", "{ B = \"serial_b\", A = \"serial_a\" }")
+        .replace("test = \"run\"", "test = \"run\"\ncrossed = [\"serial\"]");
+    folder.write("other.toml", other.as_bytes());
+    close(&[fit(&folder, "other.toml pairs.csv --criterion reml").log_likelihood], &[found.log_likelihood], 1e-12);
+}
+
+#[test]
+fn slots_that_cannot_be_are_refused_in_words() {
+    let folder = Folder::new(&[]);
+    folder.copy("../../examples/crossed/pairs.toml");
+    folder.copy("../../examples/crossed/pairs.csv");
+    let text = std::fs::read_to_string(folder.path("pairs.toml")).expect("it is there");
+    let slots = "as = { A = \"serial_a\", B = \"serial_b\" }";
+    for (from, to, expected) in [
+        (slots, "as = { A = \"serial_a\" }", "has fewer than two slots"),
+        (slots, "as = { A = \"serial_a\", C = \"serial_b\" }", "no estimated state is named `bias_C`"),
+        (slots, "as = { A = \"serial_a\", B = \"serial_a\" }", "`serial_a` stands twice"),
+        ("states = [\"bias\"]", "states = [\"bias_B\"]", "here it is `bias`, in whatever slot"),
+        ("[states.bias_B]\nunit = \"deg/h\"", "[states.bias_B]\nunit = \"rad/s\"", "but their units differ"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        folder.write("wrong.toml", text.replace(from, to).as_bytes());
+        let output = folder.run("check wrong.toml pairs.csv");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && said.contains(expected), "{to}: {said}");
+    }
+    let rows = std::fs::read_to_string(folder.path("pairs.csv")).expect("it is there");
+    folder.write("twice.csv", rows.replace(",G07,G03,", ",G07,G07,").as_bytes());
+    let said = String::from_utf8_lossy(&folder.run("check pairs.toml twice.csv").stderr).into_owned();
+    assert!(said.contains("has one name in two slots of `serial`"), "{said}");
+}

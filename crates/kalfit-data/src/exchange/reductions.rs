@@ -5,7 +5,7 @@ use std::io;
 
 use kalfit::model::Phase;
 use kalfit::reduce::{Inherited, Path, PhaseReduction, Terminal};
-use kalfit::{Evidence, Labels, PhasedModel, Reduction};
+use kalfit::{Evidence, Label, Labels, PhasedModel, Reduction};
 use nalgebra::{DMatrix, DVector};
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::ChunkReader;
@@ -38,7 +38,8 @@ pub fn read_reductions(
 ) -> Result<ExchangeMetadata, DataError> {
     let mut labelled = |(mut entry, groups): (ExchangeEntry, Vec<String>)| {
         if let Evidence::Reduced(piece) = &mut entry.evidence {
-            piece.groups = groups.iter().map(|name| labels.intern(name)).collect();
+            let label = |name: &String| if name.is_empty() { Label::MISSING } else { labels.intern(name) };
+            piece.groups = groups.iter().map(label).collect();
         }
         take(entry)
     };
@@ -58,7 +59,11 @@ fn read<R: ChunkReader + 'static>(
         source,
         phases: PhaseFinder::new(model),
         expected: expected_phases(model),
-        levels: model.levels.len(),
+        may_be_empty: model
+            .levels
+            .iter()
+            .flat_map(|level| level.columns().map(|_| !level.members.is_empty()))
+            .collect(),
     };
     let open = || again().map_err(|error| DataError::Io { file: source.name.clone(), source: error });
     let opened = super::sheet::open(&source.name, open()?)?;
@@ -142,8 +147,8 @@ struct ReductionReader<'a> {
     source: &'a ExchangeFile,
     phases: PhaseFinder<'a>,
     expected: Vec<ExpectedPhase<'a>>,
-    /// Number of levels of groups.
-    levels: usize,
+    /// For each name of a group of a test, whether it is that of a slot, which may be empty.
+    may_be_empty: Vec<bool>,
 }
 
 /// What is known of a phase.
@@ -194,13 +199,14 @@ impl ReductionReader<'_> {
 
     /// Names of the groups of a test, where the model has levels.
     fn groups(&self, row: SheetRow<'_>) -> Result<Vec<String>, ExchangeError> {
-        if self.levels == 0 {
+        if self.may_be_empty.is_empty() {
             return Ok(Vec::new());
         }
         let names = row.words(GROUPS);
         let names =
             names.ok_or_else(|| ExchangeError::Levels { file: self.source.name.clone(), kind: REDUCTIONS_KIND })?;
-        match names.len() == self.levels && names.iter().all(|name| !name.is_empty()) {
+        let sound = |(name, may_be_empty): (&&str, &bool)| *may_be_empty || !name.is_empty();
+        match names.len() == self.may_be_empty.len() && names.iter().zip(&self.may_be_empty).all(sound) {
             true => Ok(names.into_iter().map(str::to_owned).collect()),
             false => Err(ExchangeError::Value {
                 at: row.place(GROUPS),

@@ -497,6 +497,7 @@ fn with_levels(names: &[&str]) -> PhasedModel {
         column,
         crossed: false,
         covariance: CovarianceStructure::full(),
+        members: Vec::new(),
     };
     model.levels.extend(names.iter().enumerate().map(level));
     model

@@ -18,7 +18,7 @@ use kalfit_fixtures::near;
 use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Alpha, CovarianceStructure, MeanElement, MeanStructure, Regression};
-use kalfit_model::{Grouping, Label};
+use kalfit_model::{Grouping, Label, Member, Selection};
 
 /// A deterministic number between -1 and 1 that looks like noise.
 fn wave(seed: usize) -> f64 {
@@ -127,6 +127,29 @@ fn crossed(
     Ensemble { grouping: Arc::new(grouping), covariances, ..made }
 }
 
+/// An ensemble as [`ensemble`] makes, whose tests hold two of `units` units in slots that `selections` says the states of,
+/// and are in groups of `factors` as [`crossed`] makes them. Some slots are empty; with a `nested` level of none, and no
+/// factors, nothing else is shared.
+fn slotted(made: Ensemble, units: usize, selections: [&[(usize, usize)]; 2], factors: &[usize]) -> Ensemble {
+    let nested = if factors.is_empty() { 0 } else { made.grouping.depth() };
+    let slots = selections.map(|pairs| Arc::new(Selection::new(pairs.to_vec()))).to_vec();
+    let label = |j: usize| {
+        let id = made.reductions.id(j);
+        let number = made.grouping.number(id).expect("it was named");
+        let in_slots = [j % units, (j + 1 + j / units) % units].map(Label::literal);
+        let mut names = if in_slots[0] == in_slots[1] { vec![in_slots[0], Label::MISSING] } else { in_slots.to_vec() };
+        names.extend(factors.iter().enumerate().map(|(f, levels)| Label::literal((j * (f + 2) + f) % levels)));
+        if nested > 0 {
+            names.extend(made.grouping.groups(0)[made.grouping.group_of(number, 0)].path.iter());
+        }
+        (id, names)
+    };
+    let all = std::iter::once(slots).chain(factors.iter().map(|_| Vec::new())).collect();
+    let grouping = Grouping::with_slots(all, nested, (0..made.reductions.len()).map(label));
+    let covariances = vec![CovarianceStructure::full(); 1 + grouping.depth()];
+    Ensemble { grouping: Arc::new(grouping), covariances, ..made }
+}
+
 impl Ensemble {
     fn structure(&self) -> Structure<'_> {
         let zero = MeanStructure { elements: vec![MeanElement::Fixed(0.0); self.p], ..MeanStructure::free(self.p) };
@@ -163,9 +186,22 @@ impl Ensemble {
     /// Covariance between ξ of test a and ξ of test b.
     fn between(&self, a: usize, b: usize, sigmas: &[DMatrix<f64>]) -> DMatrix<f64> {
         let number = |j: usize| self.grouping.number(self.reductions.id(j)).expect("it was named");
-        let own = if a == b { sigmas[0].clone() } else { DMatrix::zeros(self.p, self.p) };
-        let shared = |l: &usize| self.grouping.group_of(number(a), *l) == self.grouping.group_of(number(b), *l);
-        (0..self.grouping.depth()).filter(shared).fold(own, |sum, l| sum + &sigmas[l + 1])
+        let mut sum = if a == b { sigmas[0].clone() } else { DMatrix::zeros(self.p, self.p) };
+        for l in 0..self.grouping.depth() {
+            for one in self.grouping.members(number(a), l) {
+                let same = self.grouping.members(number(b), l).filter(|other| other.group == one.group);
+                same.for_each(|other| sum += self.places(one) * &sigmas[l + 1] * self.places(other).transpose());
+            }
+        }
+        sum
+    }
+
+    /// E of a group that a test meets.
+    fn places(&self, member: Member<'_>) -> DMatrix<f64> {
+        let Some(selection) = member.selection else { return DMatrix::identity(self.p, self.p) };
+        let mut places = DMatrix::zeros(self.p, self.p);
+        selection.pairs().iter().for_each(|&pair| places[pair] = 1.0);
+        places
     }
 
     fn mean_of(&self, j: usize, mean: &[f64], coefficients: &[f64]) -> DVector<f64> {
@@ -252,6 +288,9 @@ fn kinds() -> Vec<Ensemble> {
         crossed(2, &[4, 3], (2, false), &[3], false),
         crossed(2, &[6, 2], (1, true), &[2, 3], true),
         crossed(2, &[2, 2, 2], (2, true), &[3], false),
+        slotted(ensemble(2, &[4, 3], (1, false)), 5, [&[(0, 0)], &[(1, 0)]], &[]),
+        slotted(ensemble(3, &[3, 3], (1, true)), 4, [&[(0, 0)], &[(2, 0)]], &[3]),
+        slotted(ensemble(4, &[8, 3], (2, false)), 7, [&[(0, 0), (1, 1)], &[(3, 1), (2, 0)]], &[2]),
     ]
 }
 

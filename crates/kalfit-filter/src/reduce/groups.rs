@@ -23,6 +23,14 @@ pub enum GroupingError {
         /// Name of the level.
         level: String,
     },
+    /// One group stands in two slots of a test.
+    #[error("test `{test}` has one name in two slots of `{level}`")]
+    Twice {
+        /// Id of the test.
+        test: String,
+        /// Name of the factor.
+        level: String,
+    },
     /// A test belongs to several groups of one level.
     #[error("test `{test}` is of more than one group of level `{level}`")]
     Varies {
@@ -36,7 +44,7 @@ pub enum GroupingError {
 /// The groups that the rows of tests give; `None` for a model without levels.
 ///
 /// # Errors
-/// A test has no rows, lacks the name of a group, or has several groups of one level.
+/// A test has no rows, lacks the name of a group, has several groups of one level, or one in two slots.
 pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grouping>, GroupingError> {
     if model.levels.is_empty() {
         return Ok(None);
@@ -46,11 +54,13 @@ pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grou
         _ => Err(GroupingError::NoRows { test: test.id.to_string() }),
     };
     let paths = tests.iter().map(|test| Ok((test.id.as_str(), path(test)?)));
-    let counts = (model.factors().len(), model.nested().len());
-    Ok(Some(Grouping::crossed(counts, paths.collect::<Result<Vec<_>, _>>()?)))
+    let slots = |factor: &GroupLevel| factor.members.iter().map(|member| member.selection.clone()).collect();
+    let factors = model.factors().iter().map(slots).collect();
+    Ok(Some(Grouping::with_slots(factors, model.nested().len(), paths.collect::<Result<Vec<_>, _>>()?)))
 }
 
-/// Names of the groups of a test, in the order of the levels of the model; empty for a model without levels.
+/// Names of the groups of a test, in the order of the levels of the model, a factor with several members slot by slot;
+/// empty for a model without levels.
 ///
 /// # Errors
 /// The same errors as [`grouping`].
@@ -58,21 +68,34 @@ pub fn groups_of(model: &PhasedModel, test: &str, evidence: &Evidence) -> Result
     let id = || test.to_owned();
     let rows = match evidence {
         Evidence::Rows(rows) => rows,
-        Evidence::Reduced(piece) if piece.groups.len() == model.levels.len() => return Ok(piece.groups.clone()),
+        Evidence::Reduced(piece) if piece.groups.len() == group_names(model) => return Ok(piece.groups.clone()),
         _ if model.levels.is_empty() => return Ok(Vec::new()),
         Evidence::Reduced(_) | Evidence::Estimates(_) => return Err(GroupingError::NoRows { test: id() }),
     };
-    let one = |level: &GroupLevel| {
-        let name = |row: usize| rows.texts(row)[level.column];
-        let first = if rows.rows() == 0 { Label::MISSING } else { name(0) };
-        let level = || level.name.clone();
-        if first.is_missing() {
-            return Err(GroupingError::NoName { test: id(), level: level() });
+    let mut names = Vec::with_capacity(group_names(model));
+    for level in &model.levels {
+        let before = names.len();
+        let named = || level.name.clone();
+        for column in level.columns() {
+            let name = |row: usize| rows.texts(row)[column];
+            let first = if rows.rows() == 0 { Label::MISSING } else { name(0) };
+            if !(1..rows.rows()).all(|row| name(row) == first) {
+                return Err(GroupingError::Varies { test: id(), level: named() });
+            }
+            if names[before..].contains(&first) && !first.is_missing() {
+                return Err(GroupingError::Twice { test: id(), level: named() });
+            }
+            names.push(first);
         }
-        match (1..rows.rows()).all(|row| name(row) == first) {
-            true => Ok(first),
-            false => Err(GroupingError::Varies { test: id(), level: level() }),
+        // a slot may be empty, not all of them
+        if names[before..].iter().all(|name| name.is_missing()) {
+            return Err(GroupingError::NoName { test: id(), level: named() });
         }
-    };
-    model.levels.iter().map(one).collect()
+    }
+    Ok(names)
+}
+
+/// Number of names that a test gives of its groups.
+fn group_names(model: &PhasedModel) -> usize {
+    model.levels.iter().map(|level| level.columns().count()).sum()
 }

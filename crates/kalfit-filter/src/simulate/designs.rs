@@ -1,12 +1,14 @@
 //! The design of an ensemble: tests that give times, inputs and missing values, and the ids of the drawn tests.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use crate::reduce::grouping;
 use crate::simulate::SimulateError;
-use kalfit_model::Grouping;
 use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
+use kalfit_model::Selection;
+use kalfit_model::{Grouping, Member};
 
 /// The design of an ensemble: n ≥ 1 tests with distinct ids. Test j of the ensemble has the times, inputs and missing
 /// values of test j mod n of the design.
@@ -15,6 +17,14 @@ pub struct Designs {
     tests: Vec<PhasedTest>,
     round_mark: String,
     grouping: Option<Grouping>,
+}
+
+/// A group of a drawn test.
+pub(super) struct DrawnGroup<'a> {
+    /// No two groups of the ensemble, in whatever rounds, have one number.
+    pub(super) number: u64,
+    /// Which effects act on which states; `None` where each acts on its own.
+    pub(super) selection: Option<&'a Selection>,
 }
 
 impl Designs {
@@ -48,16 +58,22 @@ impl Designs {
         Ok(Designs { grouping, ..Designs::new(tests)? })
     }
 
-    /// Number of the group of test `index` at each level, the innermost first. No two groups of the ensemble, in
-    /// whatever rounds, have one number. `None` where the groups are not known.
-    pub(super) fn groups(&self, index: u64) -> Option<Vec<u64>> {
+    /// The groups of test `index` at each level, the innermost first. `None` where the groups are not known.
+    pub(super) fn groups<'a>(&'a self, index: u64) -> Option<Vec<Vec<DrawnGroup<'a>>>> {
         let grouping = self.grouping.as_ref()?;
         let (round, all) = (index / self.tests.len() as u64, (0..grouping.depth()).map(|l| grouping.groups(l).len()));
         let level_starts: Vec<usize> = all.scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect();
         let total: usize = (0..grouping.depth()).map(|l| grouping.groups(l).len()).sum();
         let number = grouping.number(&self.design(index).id)?;
-        let of_level =
-            |(level, first): (usize, usize)| round * total as u64 + (first + grouping.group_of(number, level)) as u64;
+        let of_level = |(level, first): (usize, usize)| {
+            let number_of = |group: usize| round * total as u64 + (first + group) as u64;
+            let members = grouping.members(number, level);
+            let drawn = |member: Member<'a>| DrawnGroup {
+                number: number_of(member.group),
+                selection: member.selection.map(Arc::as_ref),
+            };
+            members.map(drawn).collect()
+        };
         Some(level_starts.into_iter().enumerate().map(of_level).collect())
     }
 

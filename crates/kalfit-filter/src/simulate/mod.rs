@@ -40,6 +40,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 pub use designs::Designs;
+use designs::DrawnGroup;
 pub use error::SimulateError;
 
 use crate::reduce::{Fault, Instance, PhaseReducer, PhasedReducer, Preparer};
@@ -210,10 +211,18 @@ impl Simulator {
         }
         let groups = designs.groups(place).ok_or(SimulateError::Ungrouped)?;
         let mut group_deviations = vec![0.0; self.levels[0].nrows()];
-        for (root, group) in self.levels.iter().zip(groups) {
-            let mut random = ChaCha8Rng::seed_from_u64(self.seed);
-            random.set_stream(u64::MAX - group);
-            path::add_noise(root, &mut random, |i, value| group_deviations[i] += value);
+        for (root, groups) in self.levels.iter().zip(groups) {
+            for DrawnGroup { number, selection } in groups {
+                let mut random = ChaCha8Rng::seed_from_u64(self.seed);
+                random.set_stream(u64::MAX - number);
+                path::add_noise(root, &mut random, |effect, value| match selection {
+                    None => group_deviations[effect] += value,
+                    Some(selection) => {
+                        let acts = selection.pairs().iter().filter(|pair| pair.1 == effect);
+                        acts.for_each(|&(state, _)| group_deviations[state] += value);
+                    }
+                });
+            }
         }
         Ok(group_deviations)
     }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use kalfit_algebra::symmetric::square_root;
 use kalfit_filter::innovations::{Innovation, InnovationFilter, Innovations};
 use kalfit_filter::reduce::ReduceError;
-use kalfit_model::{Evidence, PhasedModel, PhasedTest, Population, TestId};
+use kalfit_model::{Evidence, LevelSlots, PhasedModel, PhasedTest, Population, TestId};
 use nalgebra::DMatrix;
 
 use crate::misfit::FittedEnsemble;
@@ -54,7 +54,7 @@ impl<'a> Columns<'a> {
     ) -> Result<Columns<'a>, ReduceError> {
         let p = model.dimension();
         let within = within_tests(of.population, p);
-        let deviations = of.population.together(p).covariance.diagonal().map(f64::sqrt);
+        let deviations = of.population.together(p, &model.slots()).covariance.diagonal().map(f64::sqrt);
         let filter = |population: &Population| InnovationFilter::new(model, of.alpha, population);
         let mut moved = Vec::new();
         for i in 0..p {
@@ -174,7 +174,7 @@ impl UnitColumns {
 /// The law of a test given the effects of its groups, at the mean over all groups.
 fn within_tests(population: &Population, p: usize) -> Population {
     let covariance = population.covariance.view((0, 0), (p, p)).into();
-    Population { covariance, ..population.together(p) }
+    Population { covariance, ..population.together(p, &LevelSlots::default()) }
 }
 
 /// Basis of the free means of all phases.

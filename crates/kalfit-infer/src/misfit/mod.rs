@@ -180,7 +180,7 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
     found.terms = score.tests(&terms);
     found.terms.extend(steps.tests(&score));
     found.terms.extend(shared.tests());
-    let together = of.population.together(model.dimension());
+    let together = of.population.together(model.dimension(), &model.slots());
     let filter = InnovationFilter::new(&model, of.alpha, &together)?;
     let left = found.count.saturating_sub(columns.basis().ncols() + columns.regressors().len());
     found.wrong_rows = large.wrong(&filter, (&model, &tests), (found.nis, left));

@@ -202,8 +202,16 @@ impl<'a> Draw<'a> {
             return sum;
         };
         for (level, root) in self.roots[1..].iter().enumerate() {
-            let own = groups.entry((level, grouping.group_of(number, level)));
-            sum += &*own.or_insert_with(|| root * normal(root.ncols(), random));
+            for member in grouping.members(number, level) {
+                let own = groups.entry((level, member.group));
+                let effects = &*own.or_insert_with(|| root * normal(root.ncols(), random));
+                match member.selection {
+                    None => sum += effects,
+                    Some(selection) => {
+                        selection.pairs().iter().for_each(|&(state, effect)| sum[state] += effects[effect]);
+                    }
+                }
+            }
         }
         sum
     }

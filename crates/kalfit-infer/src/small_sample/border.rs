@@ -81,8 +81,8 @@ impl<'a> Border<'a> {
         }
         all.columns_mut(0, p).copy_from(&factor);
         if let Some(effects) = &self.effects {
-            for own in effects.met_by(reductions.id(j))? {
-                all.columns_mut(p + own.start, p).copy_from(&factor);
+            for (state, effect) in effects.met_by(reductions.id(j))? {
+                all.column_mut(p + effect).axpy(1.0, &factor.column(state), 1.0);
             }
         }
         let mut k = all.transpose() * &all;

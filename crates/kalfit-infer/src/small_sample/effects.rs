@@ -1,11 +1,10 @@
 //! The effects of the groups of crossed factors, as columns of the border that have a law of their own (theory §16).
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use kalfit_model::Grouping;
+use kalfit_model::{Grouping, Selection};
 
 /// The effects b of all groups of all crossed factors, p for each group: ξ_j = E_j b + …
 #[derive(Debug, Clone)]
@@ -50,15 +49,19 @@ impl CrossedEffects {
         (self.starts[factor]..self.starts[factor + 1]).step_by(self.states.max(1))
     }
 
-    /// The effects that test `id` meets, a range for each factor; `None` for a test that was not grouped.
-    pub(super) fn met_by(&self, id: &str) -> Option<Vec<Range<usize>>> {
+    /// E of test `id`: pairs of a state and of an effect on it; `None` for a test that was not grouped.
+    pub(super) fn met_by(&self, id: &str) -> Option<Vec<(usize, usize)>> {
         let number = self.grouping.number(id)?;
-        let of_factor = |(factor, start): (usize, &usize)| {
-            let group = self.grouping.group_of(number, self.grouping.nested() + factor);
-            let first = start + group * self.states;
-            first..first + self.states
-        };
-        Some(self.starts[..self.starts.len() - 1].iter().enumerate().map(of_factor).collect())
+        let all = Selection::all(self.states);
+        let mut met = Vec::new();
+        for (factor, start) in self.starts[..self.starts.len() - 1].iter().enumerate() {
+            for member in self.grouping.members(number, self.grouping.nested() + factor) {
+                let first = start + member.group * self.states;
+                let selection = member.selection.map_or(&all, Arc::as_ref);
+                met.extend(selection.pairs().iter().map(|&(state, effect)| (state, first + effect)));
+            }
+        }
+        Some(met)
     }
 
     /// F of the covariance of all effects, block by block, from F of the Σ of each factor, p × its columns.

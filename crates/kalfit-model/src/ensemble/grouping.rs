@@ -1,8 +1,9 @@
 //! Groups of tests: levels of groups within groups (theory §11), and factors whose groups cross these (theory §16).
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
-use crate::ensemble::Label;
+use crate::ensemble::{Label, LevelSlots, Selection};
 
 /// The groups that each test belongs to, level by level: the nested levels, the innermost first, then the crossed
 /// factors, each as a level whose groups stand in no other group.
@@ -10,12 +11,28 @@ use crate::ensemble::Label;
 pub struct Grouping {
     /// Index of each test, by the id of the test.
     numbers: HashMap<String, usize>,
-    /// For each level the index in `groups` of the group of each test.
+    /// For each level the index in `groups` of the groups of each test, one after the other; [`NO_GROUP`] for a slot that
+    /// is empty.
     of_test: Vec<Vec<usize>>,
+    /// For each level which effects of the groups of a test act on its states; a level without slots has one group for
+    /// each test, whose effects act state by state.
+    slots: Vec<Vec<Arc<Selection>>>,
     /// The groups of each level; the groups of a level are in the order of first mention by tests.
     groups: Vec<Vec<Group>>,
     /// Number of nested levels.
     nested: usize,
+}
+
+/// The place of a group in a slot that is empty.
+const NO_GROUP: usize = usize::MAX;
+
+/// A group that a test meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Member<'a> {
+    /// Index of the group among those of its level.
+    pub group: usize,
+    /// Which effects of the group act on the states of the test; `None` where each acts on its own state.
+    pub selection: Option<&'a Arc<Selection>>,
 }
 
 /// A group of tests.
@@ -41,25 +58,56 @@ impl Grouping {
         (factors, nested): (usize, usize),
         tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>,
     ) -> Grouping {
-        let depth = factors + nested;
+        Grouping::with_slots(vec![Vec::new(); factors], nested, tests)
+    }
+
+    /// Groups tests as [`crossed`](Self::crossed) does, where tests may have several groups of one factor: for each factor
+    /// the effects that act in each of its slots, none for a factor with one group for each test. A test gives a name for
+    /// each slot, [`Label::MISSING`] for a slot that is empty.
+    pub fn with_slots<'a>(
+        factors: Vec<Vec<Arc<Selection>>>,
+        nested: usize,
+        tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>,
+    ) -> Grouping {
+        let depth = factors.len() + nested;
         let (of_test, groups) = (vec![Vec::new(); depth], vec![Vec::new(); depth]);
-        let mut grouping = Grouping { numbers: HashMap::new(), of_test, groups, nested };
+        let slots = std::iter::repeat_n(Vec::new(), nested).chain(factors.into_iter().rev()).collect();
+        let mut grouping = Grouping { numbers: HashMap::new(), of_test, slots, groups, nested };
         let mut known: HashMap<(usize, Vec<Label>), usize> = HashMap::new();
         for (number, (id, path)) in tests.into_iter().enumerate() {
             grouping.numbers.insert(id.to_owned(), number);
-            for (factor, name) in path[..factors].iter().enumerate() {
-                grouping.join(&mut known, depth - 1 - factor, (vec![*name], None));
+            let mut path = &path[..];
+            for level in (nested..depth).rev() {
+                let (own, rest) = path.split_at(grouping.width(level));
+                grouping.join_slots(&mut known, level, own);
+                path = rest;
             }
             let mut parent = None;
             for names in 1..=nested {
-                let own = path[factors..factors + names].to_vec();
-                parent = Some(grouping.join(&mut known, nested - names, (own, parent)));
+                let own = path[..names].to_vec();
+                let at = grouping.join(&mut known, nested - names, (own, parent));
+                grouping.of_test[nested - names].push(at);
+                parent = Some(at);
             }
         }
         grouping
     }
 
-    /// Adds the next test to the group of a level that has this path; returns the index of the group.
+    /// Adds the next test to its groups of a factor; a group in two slots counts the test once.
+    fn join_slots(&mut self, known: &mut HashMap<(usize, Vec<Label>), usize>, level: usize, names: &[Label]) {
+        for (slot, name) in names.iter().enumerate() {
+            let at = match name.is_missing() && names.len() > 1 {
+                true => NO_GROUP,
+                false => self.join(known, level, (vec![*name], None)),
+            };
+            if names[..slot].contains(name) && at != NO_GROUP {
+                self.groups[level][at].tests -= 1;
+            }
+            self.of_test[level].push(at);
+        }
+    }
+
+    /// Counts the next test in the group of a level that has this path; returns the index of the group.
     fn join(
         &mut self,
         known: &mut HashMap<(usize, Vec<Label>), usize>,
@@ -72,7 +120,6 @@ impl Grouping {
             groups.len() - 1
         });
         groups[at].tests += 1;
-        self.of_test[level].push(at);
         at
     }
 
@@ -107,9 +154,46 @@ impl Grouping {
         self.numbers.get(test).copied()
     }
 
-    /// Index of the group of a test at a level, the innermost being level 0.
+    /// Index of the group of a test at a level with one group for each test, the innermost being level 0.
     pub fn group_of(&self, test: usize, level: usize) -> usize {
+        debug_assert!(self.slots[level].is_empty(), "a test may have several groups");
         self.of_test[level][test]
+    }
+
+    /// The groups of a test at a level, slot by slot.
+    pub fn members(&self, test: usize, level: usize) -> impl Iterator<Item = Member<'_>> {
+        let width = self.width(level);
+        let groups = self.of_test[level][test * width..(test + 1) * width].iter();
+        let member = move |(slot, &group): (usize, &usize)| Member { group, selection: self.slots[level].get(slot) };
+        groups.enumerate().filter(|(_, group)| **group != NO_GROUP).map(member)
+    }
+
+    /// Indices of the groups of a test at a level, ascending, each once.
+    pub fn groups_of(&self, test: usize, level: usize) -> Vec<usize> {
+        let mut groups: Vec<usize> = self.members(test, level).map(|member| member.group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        groups
+    }
+
+    /// Whether a test may have several groups of a level.
+    pub fn has_slots(&self, level: usize) -> bool {
+        !self.slots[level].is_empty()
+    }
+
+    /// The slots of all levels.
+    pub fn all_slots(&self) -> impl Iterator<Item = &Selection> {
+        self.slots.iter().flatten().map(Arc::as_ref)
+    }
+
+    /// How the effects of each level enter a test.
+    pub fn slots(&self) -> LevelSlots {
+        LevelSlots::new(self.slots.iter().cloned())
+    }
+
+    /// Number of names that a test gives of its groups at a level.
+    fn width(&self, level: usize) -> usize {
+        self.slots[level].len().max(1)
     }
 }
 
@@ -143,5 +227,21 @@ mod tests {
         let stations: Vec<usize> = (0..4).map(|test| grouping.group_of(test, 1)).collect();
         assert_eq!(stations, [0, 1, 2, 0]);
         assert_eq!(grouping.groups(1)[0], Group { path: vec![Label::literal(7)], parent: None, tests: 2 });
+    }
+
+    #[test]
+    fn tests_have_a_group_in_each_slot_that_is_not_empty() {
+        let slots = vec![vec![Arc::new(Selection::new(vec![(0, 0)])), Arc::new(Selection::new(vec![(1, 0)]))]];
+        let (x, y) = (Label::literal(0), Label::literal(1));
+        let tests = [("a", vec![x, y]), ("b", vec![y, Label::MISSING]), ("c", vec![y, y])];
+        let grouping = Grouping::with_slots(slots, 0, tests);
+        let of = |test: usize| -> Vec<(usize, usize)> {
+            let pair = |member: Member<'_>| (member.group, member.selection.expect("a slot").pairs()[0].0);
+            grouping.members(test, 0).map(pair).collect()
+        };
+        assert_eq!([of(0), of(1), of(2)], [vec![(0, 0), (1, 1)], vec![(1, 0)], vec![(1, 0), (1, 1)]]);
+        assert_eq!([grouping.groups_of(0, 0), grouping.groups_of(2, 0)], [vec![0, 1], vec![1]]);
+        assert_eq!(grouping.groups(0).iter().map(|group| group.tests).collect::<Vec<_>>(), [1, 3]);
+        assert_eq!((grouping.is_crossed(), grouping.has_slots(0)), (true, true));
     }
 }

@@ -22,7 +22,7 @@ pub use derivative::Tape;
 pub use error::EvaluationError;
 pub use expression::{Expression, Function, Operator, Scope};
 pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
-pub use phased::{Carry, Filter, GroupLevel, MAIN, Phase, PhasedModel};
+pub use phased::{Carry, Filter, GroupLevel, MAIN, Membership, Phase, PhasedModel, effect_names, slot_of};
 pub use population::{Population, PopulationError};
 pub(crate) use role::roles_among;
 pub use role::{Role, roles};

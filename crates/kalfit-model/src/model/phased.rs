@@ -1,8 +1,11 @@
 //! Models of tests in several phases: a [`Model`] of each phase, and what a phase inherits from the phase before
 //! (theory §7).
 
+use std::sync::Arc;
+
 use nalgebra::DMatrix;
 
+use crate::ensemble::{LevelSlots, Selection};
 use crate::model::{CovarianceStructure, Expression, Initial, Linear, Model};
 
 /// The model of a whole test: its phases, in the order in which they happen.
@@ -36,6 +39,68 @@ pub struct GroupLevel {
     pub crossed: bool,
     /// Covariance of the deviations of groups, p × p, without a `known` part.
     pub covariance: CovarianceStructure,
+    /// The members of a test, where a crossed factor has several in one test (multiple membership, theory §16); empty
+    /// where `column` names the only one.
+    pub members: Vec<Membership>,
+}
+
+/// One of several groups of a crossed factor that a test meets: the instrument in one slot of a test bench.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Membership {
+    /// Name of the slot.
+    pub slot: String,
+    /// Index of the text column with the name of the group, constant within a test; missing where the slot is empty.
+    pub column: usize,
+    /// Which effect of the group acts on each estimated state.
+    pub selection: Arc<Selection>,
+}
+
+impl GroupLevel {
+    /// The text columns that name the groups of a test.
+    pub fn columns(&self) -> impl Iterator<Item = usize> + '_ {
+        let only = self.members.is_empty().then_some(self.column);
+        only.into_iter().chain(self.members.iter().map(|member| member.column))
+    }
+
+    /// Names of the effects of a group, one for each of the estimated states of these names: that of the state or, where
+    /// a test has several members, without the slot.
+    pub fn effect_names(&self, states: &[String]) -> Vec<String> {
+        effect_names(&self.members, states)
+    }
+
+    /// Whether there is an effect of this index: where a test has several members, some states have none of their own.
+    pub fn has_effect(&self, effect: usize) -> bool {
+        let mut pairs = self.members.iter().flat_map(|member| member.selection.pairs());
+        self.members.is_empty() || pairs.any(|pair| pair.1 == effect)
+    }
+}
+
+/// Names of the effects of a group with these members, one for each of the estimated states of these names.
+pub fn effect_names(members: &[Membership], states: &[String]) -> Vec<String> {
+    let mut names: Vec<Option<String>> = vec![None; states.len()];
+    for member in members {
+        for &(state, effect) in member.selection.pairs() {
+            names[effect] = stem(&states[state], &member.slot).map(str::to_owned);
+        }
+    }
+    let is_effect = |name: &String| names.contains(&Some(name.clone()));
+    let own = |(name, state): (&Option<String>, &String)| match name {
+        Some(name) => name.clone(),
+        // an effect may have the name of a state that has none
+        None if is_effect(state) => format!("{state} (no effect)"),
+        None => state.clone(),
+    };
+    names.iter().zip(states).map(own).collect()
+}
+
+/// The slot that a state is of, and its name without the slot: `A` and `bias` of `bias_A`; that with the longest name
+/// where several fit.
+pub fn slot_of<'s, 'n>(state: &'n str, slots: impl Iterator<Item = &'s str>) -> Option<(&'s str, &'n str)> {
+    slots.filter_map(|slot| Some((slot, stem(state, slot)?))).min_by_key(|(_, stem)| stem.len())
+}
+
+fn stem<'n>(state: &'n str, slot: &str) -> Option<&'n str> {
+    state.strip_suffix(slot)?.strip_suffix('_').filter(|stem| !stem.is_empty())
 }
 
 /// One phase.
@@ -124,9 +189,16 @@ impl PhasedModel {
     /// each level of groups, the innermost first.
     pub fn element_names(&self) -> Vec<String> {
         let state_names = self.estimated_names();
-        let of =
-            |level: &GroupLevel| state_names.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
+        let of = |level: &GroupLevel| {
+            level.effect_names(&state_names).iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>()
+        };
         state_names.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
+    }
+
+    /// How the effects of each level enter a test.
+    pub fn slots(&self) -> LevelSlots {
+        let of = |level: &GroupLevel| level.members.iter().map(|member| member.selection.clone()).collect();
+        LevelSlots::new(self.levels.iter().rev().map(of))
     }
 
     /// The crossed factors.

@@ -2,6 +2,7 @@
 
 use nalgebra::DMatrix;
 
+use crate::ensemble::LevelSlots;
 use crate::model::{
     Alpha, CovarianceKind, CovarianceStructure, Expression, MeanElement, Model, PhasedModel, Scope, StructureError,
 };
@@ -77,14 +78,15 @@ pub enum PopulationError {
 }
 
 impl Population {
-    /// The marginal law of a test with p states in groups: the sum over all levels. A population in one level is
-    /// unchanged.
+    /// The marginal law of a test with p states in groups, whose effects enter by `slots`: the sum over all levels. A
+    /// population in one level is unchanged.
     #[must_use]
-    pub fn together(&self, p: usize) -> Population {
+    pub fn together(&self, p: usize, slots: &LevelSlots) -> Population {
         let levels = self.mean.len().checked_div(p).unwrap_or(1);
         let mean = (0..p).map(|i| (0..levels).map(|l| self.mean[l * p + i]).sum()).collect();
-        let sum = |i: usize, k: usize| (0..levels).map(|l| self.covariance[(l * p + i, l * p + k)]).sum();
-        Population { mean, coefficients: self.coefficients.clone(), covariance: DMatrix::from_fn(p, p, sum) }
+        let block = |level: usize| self.covariance.view((level * p, level * p), (p, p)).into_owned();
+        let covariance = (1..levels).fold(block(0), |sum, level| sum + slots.spread(level, &block(level)));
+        Population { mean, coefficients: self.coefficients.clone(), covariance }
     }
 
     /// The population of the fixed values in a model or, for elements that are not fixed, of the start values.

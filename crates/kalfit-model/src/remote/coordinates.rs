@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
+use crate::ensemble::Selection;
 use kalfit_algebra::symmetric;
 
 /// The frame of estimation: ξ = centre + scale ∘ η.
@@ -28,6 +29,17 @@ impl Coordinates {
         let sum = |i: usize| (0..levels).map(|l| self.centre[l * p + i]).sum();
         let centre = (0..self.centre.len()).map(|k| if k < p { sum(k) } else { 0.0 }).collect();
         Coordinates { centre, ..self.clone() }
+    }
+
+    /// The frame in which states that one effect acts on, in whatever slots and levels, have one scale: that of the state
+    /// with the index of the effect. The effect then enters each of them as it is.
+    pub fn with_shared_scales<'a>(&self, levels: usize, slots: impl Iterator<Item = &'a Selection>) -> Coordinates {
+        let p = self.scale.len() / levels;
+        let mut scale = self.scale.clone();
+        for &(state, effect) in slots.flat_map(Selection::pairs) {
+            (0..levels).for_each(|level| scale[level * p + state] = scale[level * p + effect]);
+        }
+        Coordinates { scale, ..self.clone() }
     }
 
     /// Σ in the user's units from Σ in η, symmetric to the last bit.

@@ -42,8 +42,15 @@ fn chosen<'a>(record: &'a FitRecord, phase: &PhaseRecord) -> (Vec<TestRecord<'a>
 fn population(record: &FitRecord, phase: &PhaseRecord) -> Vec<Vec<f64>> {
     let mut sum = phase.covariance.estimate.clone();
     for level in record.all_levels().filter(|level| level.column.is_some()) {
-        for (row, own) in sum.iter_mut().zip(&level.covariance.estimate) {
-            row.iter_mut().zip(own).for_each(|(sum, own)| *sum += own);
+        for effects in level.effects_by_slot(&phase.states) {
+            let acting = || effects.iter().enumerate().filter_map(|(state, effect)| Some((state, (*effect)?)));
+            for (i, effect) in acting() {
+                let own = level.covariance.estimate.get(effect);
+                for (k, other) in acting() {
+                    let own = own.and_then(|row| row.get(other)).copied().unwrap_or(0.0);
+                    sum.get_mut(i).and_then(|row| row.get_mut(k)).into_iter().for_each(|sum| *sum += own);
+                }
+            }
         }
     }
     sum

@@ -41,26 +41,27 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
 
 /// One row for each state and level.
 fn columns(record: &FitRecord, names: &[String]) -> Vec<TextColumn> {
-    let states = record.levels[0].states.len();
+    // the states, each of which one effect of each level acts on at most
+    let states = &record.levels[record.levels.len() - 1].states;
+    let effect = |level: &LevelRecord, i: usize| level.effect_on(states, i).filter(|e| !is_held_at_zero(level, *e));
     let variance = |level: &LevelRecord, i: usize| {
         level.covariance.estimate.get(i).and_then(|row| row.get(i)).copied().filter(|x| x.is_finite()).unwrap_or(0.0)
     };
     let (mut state, mut level, mut groups, mut figure, mut beside, mut ends, mut share) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let varying = |i: &usize| record.all_levels().any(|one| !is_held_at_zero(one, *i));
-    for i in (0..states).filter(varying) {
-        let all: f64 = record.all_levels().map(|one| variance(one, i)).sum();
-        let shown = record.all_levels().zip(names).filter(|(one, _)| !is_held_at_zero(one, i));
-        for (k, (one, name)) in shown.enumerate() {
-            let (value, error): FigureCells = std_dev(one, i);
-            state.push(if k == 0 { one.states[i].clone() } else { String::new() });
+    for i in 0..states.len() {
+        let of_state = || record.all_levels().zip(names).filter_map(|(one, name)| Some((one, name, effect(one, i)?)));
+        let all: f64 = of_state().map(|(one, _, e)| variance(one, e)).sum();
+        for (k, (one, name, e)) in of_state().enumerate() {
+            let (value, error): FigureCells = std_dev(one, e);
+            state.push(if k == 0 { states[i].clone() } else { String::new() });
             level.push(name.clone());
             groups.push(one.groups.to_string());
             figure.push(value);
             beside.push(error);
-            ends.push(interval(one, i));
-            let part = variance(one, i) / all;
-            let known = all > 0.0 && !record.all_levels().any(|level| is_open(level, i));
+            ends.push(interval(one, e));
+            let part = variance(one, e) / all;
+            let known = all > 0.0 && !of_state().any(|(one, _, e)| is_open(one, e));
             share.push(if known { format!("{} %", plain(100.0 * part, 3)) } else { "-".to_owned() });
         }
     }

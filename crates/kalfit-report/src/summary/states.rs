@@ -90,9 +90,8 @@ fn by_level(record: &FitRecord, phase: &PhaseRecord, title: &dyn Fn(&str) -> Str
     }
     let places = places::places(record);
     columns.extend(record.all_levels().zip(&places).map(|(level, place)| {
-        column(place, &|i| {
-            if levels::is_held_at_zero(level, i) { String::new() } else { both(levels::std_dev(level, i)) }
-        })
+        let varying = |i: usize| level.effect_on(&phase.states, i).filter(|&e| !levels::is_held_at_zero(level, e));
+        column(place, &|i| varying(i).map_or(String::new(), |e| both(levels::std_dev(level, e))))
     }));
     let heading = title(&format!(
         "Initial state: mean, and standard deviation at each level (± {})",

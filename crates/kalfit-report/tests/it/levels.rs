@@ -9,6 +9,7 @@ use kalfit_report::{TextStyle, html, summary};
 
 fn level(name: &str, column: Option<&str>, groups: usize, of: PhaseRecord) -> LevelRecord {
     LevelRecord {
+        slots: Vec::new(),
         name: name.into(),
         column: column.map(Into::into),
         groups,

@@ -81,7 +81,7 @@ fn add_tests(
         (tests, tests_by_p_value)
     };
     let applied = Applied::new(model, alpha, population, own)?;
-    let filter = InnovationFilter::new(model, alpha, &population.together(model.dimension()))?;
+    let filter = InnovationFilter::new(model, alpha, &population.together(model.dimension(), &model.slots()))?;
     for (done, &place) in places.iter().enumerate() {
         if !goes_on(done) {
             record.notes.push(format!("{} of the records are shown: the fit was interrupted", record.tests.len()));

@@ -10,7 +10,7 @@ use kalfit_record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
     let model = &fit.model;
     let population = fit.population();
-    let found = match innovations(model, &fit.alpha, &population.together(model.dimension()), tests) {
+    let found = match innovations(model, &fit.alpha, &population.together(model.dimension(), &model.slots()), tests) {
         Ok(found) => found,
         Err(error) => {
             fit.record.notes.push(format!("innovations were not computed: {error}"));

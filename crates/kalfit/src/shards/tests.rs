@@ -253,6 +253,7 @@ fn in_groups(sigma: kalfit_model::build::ParameterBuilder, levels: &[&str], test
         column,
         crossed: false,
         covariance: CovarianceStructure::full(),
+        members: Vec::new(),
     };
     model.levels = levels.iter().enumerate().map(level).collect();
     let design = |j: usize| {
@@ -306,7 +307,8 @@ fn groups_of_tests_with_a_time_constant() {
         .unwrap();
     model.phases[0].model.text_columns = vec![Column { name: "unit".to_owned(), used_in: "levels".to_owned() }];
     let covariance = CovarianceStructure::full();
-    model.levels = vec![GroupLevel { name: "unit".to_owned(), column: 0, crossed: false, covariance }];
+    model.levels =
+        vec![GroupLevel { name: "unit".to_owned(), column: 0, crossed: false, covariance, members: Vec::new() }];
     let design = |j: usize| {
         let rows = 20 + j % 5;
         Columns::new(format!("t{j}"))

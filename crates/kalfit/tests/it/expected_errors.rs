@@ -325,6 +325,7 @@ fn expected_errors_over_levels_of_groups_are_those_of_the_dense_law() {
         column,
         crossed: false,
         covariance: CovarianceStructure::full(),
+        members: Vec::new(),
     };
     model.levels = ["lot", "unit"].into_iter().enumerate().map(level).collect();
     let figures = |fit: &Fit| {

@@ -34,7 +34,13 @@ impl Bench {
         let built = kalfit::Model::builder("bench").state(constant("bias")).state(constant("scale"));
         let mut model = built.group("unit").measurement(measurement("y", equation, NOISE)).build().expect("a model");
         let covariance = CovarianceStructure::full();
-        model.levels.push(GroupLevel { name: "unit".to_owned(), column: 0, crossed: false, covariance });
+        model.levels.push(GroupLevel {
+            name: "unit".to_owned(),
+            column: 0,
+            crossed: false,
+            covariance,
+            members: Vec::new(),
+        });
         let test = |k: usize| {
             let (unit, run) = (k / RUNS, k % RUNS);
             let x: Vec<f64> = (0..ROWS).map(|row| x(unit, run, row)).collect();

@@ -55,13 +55,15 @@ impl EliminatedUnit {
             let leaf = &leaves[test.leaf];
             log_det += leaf.log_det;
             let mut of_levels = Rows::zeros(p, width);
-            test.members.iter().for_each(|&member| add_columns(&mut of_levels, &leaf.half, member));
+            test.members.iter().for_each(|member| member.add_columns(&mut of_levels, &leaf.half));
             gathered[test.group].take(&leaf.half, &of_levels, &mut K);
         }
+        let none = Rows::zeros(p, p);
         let mut groups = Vec::with_capacity(unit.groups.len());
         for (number, group) in unit.groups.iter().enumerate() {
             let own = std::mem::replace(&mut gathered[number], Members::none(0, 0));
-            let integrated = Integrated::of(&own.factor(p), &at.roots[crossing.tree[group.kind]]);
+            let root = crossing.block_of(group).map_or(&none, |block| &at.roots[block]);
+            let integrated = Integrated::of(&own.factor(p), root);
             log_det += integrated.log_det;
             let of_levels = Rows::solved_transposed(&integrated.upper, own.upper.last_columns(width));
             if group.parent == number {
@@ -69,7 +71,7 @@ impl EliminatedUnit {
             } else {
                 gathered[group.parent].take(&integrated.half, &of_levels, &mut K);
             }
-            groups.push(own.eliminated(&at.roots[crossing.tree[group.kind]], (&integrated, &of_levels)));
+            groups.push(own.eliminated(root, (&integrated, &of_levels)));
         }
         EliminatedUnit { groups, K, log_det }
     }
@@ -148,24 +150,6 @@ fn add_squares(K: &mut Rows, x: &Rows) {
         for (a, &left) in row.iter().enumerate().filter(|(_, x)| **x != 0.0) {
             K.row_mut(a).iter_mut().zip(row).for_each(|(sum, right)| *sum += left * right);
         }
-    }
-}
-
-/// Adds a p × p matrix to the columns of one level.
-pub(super) fn add_columns(to: &mut Rows, of: &Rows, level: usize) {
-    let p = of.ncols();
-    for i in 0..of.nrows() {
-        let row = &mut to.row_mut(i)[level * p..(level + 1) * p];
-        row.iter_mut().zip(of.row(i)).for_each(|(sum, x)| *sum += x);
-    }
-}
-
-/// Adds a p × p matrix to the rows of one level and the columns of another.
-pub(super) fn add_block(to: &mut Rows, of: &Rows, (level, other): (usize, usize)) {
-    let p = of.ncols();
-    for i in 0..p {
-        let row = &mut to.row_mut(level * p + i)[other * p..(other + 1) * p];
-        row.iter_mut().zip(of.row(i)).for_each(|(sum, x)| *sum += x);
     }
 }
 

@@ -1,19 +1,22 @@
 //! Units, tests and the levels of crossed factors, by parts of the ensemble that have no level in common.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use crate::frame::Frame;
+use crate::levels::crossed::member::Member;
 use crate::levels::design::Leaf;
 use crate::levels::units::from_centre;
 use kalfit_filter::reduce::Reductions;
-use kalfit_model::Grouping;
+use kalfit_model::{Grouping, Selection};
 
 /// Tests in units, whose groups are eliminated one by one, and the levels of crossed factors, which are left in one
 /// dense system for each part.
 #[derive(Debug, Clone)]
 pub(in crate::levels) struct Crossing {
     /// Block of Σ of each kind of group that is eliminated, the innermost first: the nested levels, or without any the
-    /// largest factor.
+    /// largest factor of which each test has one level. Empty where there is none: each test is then a unit, in a group
+    /// without an effect.
     pub(super) tree: Vec<usize>,
     /// Block of Σ of each factor of the dense systems.
     pub(super) factors: Vec<usize>,
@@ -57,8 +60,8 @@ pub(super) struct CrossedTest {
     pub(super) reduction: usize,
     /// Innermost group.
     pub(super) group: usize,
-    /// Indices in [`Unit::met`] of the levels that the test meets, one for each factor.
-    pub(super) members: Vec<usize>,
+    /// The levels that the test meets, factor by factor.
+    pub(super) members: Vec<Member>,
     /// d relative to the centre (p).
     pub(super) data: Vec<f64>,
 }
@@ -76,18 +79,24 @@ impl Crossing {
         order.sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
         let mut unit_of: HashMap<usize, usize> = HashMap::new();
         let mut tests_of_units: Vec<Vec<usize>> = Vec::new();
-        let outermost = tree[tree.len() - 1] - 1;
+        let outermost = tree.last().map(|block| block - 1);
         for &j in &order {
-            let unit = *unit_of.entry(grouping.group_of(numbers[j], outermost)).or_insert(tests_of_units.len());
+            let group = outermost.map_or(j, |level| grouping.group_of(numbers[j], level));
+            let unit = *unit_of.entry(group).or_insert(tests_of_units.len());
             if unit == tests_of_units.len() {
                 tests_of_units.push(Vec::new());
             }
             tests_of_units[unit].push(j);
         }
-        let level_of = |j: usize, factor: usize| grouping.group_of(numbers[j], factors[factor] - 1);
+        let all = Arc::new(Selection::all(p));
+        let members = |j: usize| {
+            factors.iter().enumerate().flat_map(move |(factor, block)| {
+                let members = grouping.members(numbers[j], block - 1);
+                members.map(move |member| ((factor, member.group), member.selection))
+            })
+        };
         let met = |tests: &Vec<usize>| -> Vec<(usize, usize)> {
-            let of_test = |&j: &usize| (0..factors.len()).map(move |factor| (factor, level_of(j, factor)));
-            tests.iter().flat_map(of_test).collect()
+            tests.iter().flat_map(|&j| members(j).map(|(level, _)| level)).collect()
         };
         let met_by_unit: Vec<Vec<(usize, usize)>> = tests_of_units.iter().map(met).collect();
         let parts = connected(&met_by_unit).into_iter().map(|units| {
@@ -108,9 +117,11 @@ impl Crossing {
                     leaf: leaf_of[j],
                     reduction: j,
                     group,
-                    members: (0..factors.len())
-                        .map(|factor| place[&(factor, level_of(j, factor))])
-                        .map(|level| met.binary_search(&level).expect("the unit meets it"))
+                    members: members(j)
+                        .map(|(level, selection)| Member {
+                            level: met.binary_search(&place[&level]).expect("the unit meets it"),
+                            selection: selection.unwrap_or(&all).clone(),
+                        })
                         .collect(),
                     data: (0..p).map(|i| from_centre(reductions.get(j), frame, i)).collect(),
                 };
@@ -129,6 +140,11 @@ impl Crossing {
         std::iter::once(0).chain(self.tree.iter().chain(&self.factors).copied()).collect()
     }
 
+    /// Block of Σ of a group that is eliminated; `None` where it has no effect.
+    pub(super) fn block_of(&self, group: &TreeGroup) -> Option<usize> {
+        self.tree.get(group.kind).copied()
+    }
+
     /// Number of levels of the part that meets most.
     pub(in crate::levels) fn largest(&self) -> usize {
         self.parts.iter().map(|part| part.levels.len()).max().unwrap_or(0)
@@ -141,7 +157,7 @@ impl Crossing {
             part.levels.iter().for_each(|(factor, _)| counts[self.factors[*factor]] += 1.0);
             for unit in &part.units {
                 counts[0] += unit.tests.len() as f64;
-                unit.groups.iter().for_each(|group| counts[self.tree[group.kind]] += 1.0);
+                unit.groups.iter().filter_map(|group| self.block_of(group)).for_each(|block| counts[block] += 1.0);
             }
         }
         counts
@@ -171,11 +187,11 @@ impl Crossing {
                     let own = leaves[test.leaf].moments(&|row| scale * test.data[row], mean);
                     tell(0, &own);
                     add(&mut groups[test.group], &own);
-                    test.members.iter().for_each(|&member| add(&mut levels[unit.met[member]], &own));
+                    test.members.iter().for_each(|member| member.add_sums(&mut levels[unit.met[member.level]], &own));
                 }
                 for (at, group) in unit.groups.iter().enumerate() {
                     let own = groups[at].clone();
-                    tell(self.tree[group.kind], &own);
+                    self.block_of(group).iter().for_each(|block| tell(*block, &own));
                     if group.parent != at {
                         add(&mut groups[group.parent], &own);
                     }
@@ -193,8 +209,10 @@ fn kinds(grouping: &Grouping) -> (Vec<usize>, Vec<usize>) {
         return ((1..=nested).collect(), (nested + 1..=depth).collect());
     }
     // the first of the largest
-    let largest = (0..depth).rev().max_by_key(|&level| grouping.groups(level).len()).unwrap_or(0);
-    (vec![largest + 1], (0..depth).filter(|&level| level != largest).map(|level| level + 1).collect())
+    let single = (0..depth).rev().filter(|&level| !grouping.has_slots(level));
+    let largest = single.max_by_key(|&level| grouping.groups(level).len());
+    let rest = (0..depth).filter(|&level| Some(level) != largest).map(|level| level + 1).collect();
+    (largest.map(|level| level + 1).into_iter().collect(), rest)
 }
 
 /// Units that are connected by levels, as lists in the order of their first unit.
@@ -233,6 +251,10 @@ impl Tree {
     fn of(tests: &[usize], (grouping, numbers): (&Grouping, &[usize]), tree: &[usize]) -> Tree {
         let mut index: HashMap<(usize, usize), usize> = HashMap::new();
         let mut groups: Vec<TreeGroup> = Vec::new();
+        let Some(innermost) = tree.first() else {
+            let only = TreeGroup { kind: 0, parent: 0, number: 0 };
+            return Tree { groups: vec![only], of_test: vec![0; tests.len()] };
+        };
         for (kind, block) in tree.iter().enumerate() {
             for &j in tests {
                 let number = grouping.group_of(numbers[j], block - 1);
@@ -248,7 +270,7 @@ impl Tree {
                 groups[at(kind - 1)].parent = at(kind);
             }
         }
-        let of_test = tests.iter().map(|&j| index[&(0, grouping.group_of(numbers[j], tree[0] - 1))]).collect();
+        let of_test = tests.iter().map(|&j| index[&(0, grouping.group_of(numbers[j], innermost - 1))]).collect();
         Tree { groups, of_test }
     }
 }

@@ -1,7 +1,8 @@
 //! Tests whose groups cross: units that meet several stations, on several days (theory §16).
 //!
 //! Test j of unit u, with level l_f(j) of each factor f, has ξ_j = X_jβ + a_u + Σ_f b_f,l + γ_j, all effects independent;
-//! E_j (p × M) selects the effects b that test j takes part in. The effect of the test is integrated out as in
+//! E_j (p × M) selects the effects b that test j takes part in: of one level of each factor or, where two instruments
+//! are in one test, of several ([`member`]). The effect of the test is integrated out as in
 //! [`levels`](super), which leaves (W_j, s_j). A group with J = ΣW, y = Σs and D = ΣWE over its members is eliminated by
 //!
 //! ```text
@@ -24,6 +25,7 @@
 mod dense;
 mod eliminated;
 mod layout;
+mod member;
 mod posterior;
 mod respond;
 mod tangents;

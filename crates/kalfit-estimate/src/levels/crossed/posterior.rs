@@ -79,13 +79,14 @@ impl Given<'_> {
     fn groups(&self, here: &PartAt<'_>, response: &Response, number: usize, found: &mut Vec<MemberId>) {
         let (unit, own) = (&here.part.units[number], &response.units[number]);
         for (at, group) in unit.groups.iter().enumerate() {
+            let Some(block) = self.crossing.block_of(group) else { continue };
             let weights = &here.weights[number].groups[at];
             let alone = self.constants.map_or(0.0, |constants| {
                 let part = here.part.only_unit(number).only(&|unit, test| is_within(unit, test, at));
                 self.log_density(&part, constants)
             });
             let posterior = self.group((&own.means[at], &weights.V), (&own.groups[at], &weights.N), alone);
-            found.push(MemberId::Group(self.crossing.tree[group.kind], group.number, posterior));
+            found.push(MemberId::Group(block, group.number, posterior));
         }
     }
 
@@ -95,7 +96,8 @@ impl Given<'_> {
         let covariance = Rows::from_fn(p, p, |i, k| here.dense.C[(level * p + i, level * p + k)]);
         let (factor, group) = here.part.levels[level];
         let alone = self.constants.map_or(0.0, |constants| {
-            let meets = |unit: &Unit, test: usize| unit.met[unit.tests[test].members[factor]] == level;
+            let meets =
+                |unit: &Unit, test: usize| unit.tests[test].members.iter().any(|own| unit.met[own.level] == level);
             self.log_density(&here.part.only(&meets), constants)
         });
         let (mean, r) = (rows(&response.effects), rows(&response.levels));
@@ -194,13 +196,15 @@ impl Unit {
         }
         let groups = self.groups.iter().zip(&needed).filter(|(_, needed)| **needed);
         let groups = groups.map(|(group, _)| TreeGroup { parent: place[group.parent], ..*group }).collect();
-        let mut members: Vec<usize> = kept.iter().flat_map(|&test| self.tests[test].members.iter().copied()).collect();
+        let mut members: Vec<usize> =
+            kept.iter().flat_map(|&test| self.tests[test].members.iter().map(|member| member.level)).collect();
         members.sort_unstable();
         members.dedup();
         let tests = kept.iter().map(|&test| {
             let mut own = self.tests[test].clone();
             own.group = place[own.group];
-            own.members.iter_mut().for_each(|at| *at = members.binary_search(at).expect("it is a member"));
+            let place = |level: usize| members.binary_search(&level).expect("it is a member");
+            own.members.iter_mut().for_each(|member| member.level = place(member.level));
             own
         });
         Some(Unit { groups, tests: tests.collect(), met: members.iter().map(|&at| self.met[at]).collect() })

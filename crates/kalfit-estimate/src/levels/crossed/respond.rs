@@ -57,16 +57,13 @@ struct UnitData {
 impl PartAt<'_> {
     /// The responses to data columns, given s of each test by unit.
     pub(super) fn respond(&self, said: &[Vec<Rows>], columns: usize) -> Response {
-        let p = self.p;
         let units = || self.part.units.par_iter().zip(&self.units).zip(said);
         let data: Vec<UnitData> = units().map(|((unit, own), s)| self.without_levels(unit, own, s, columns)).collect();
         let mut y = DMatrix::zeros(self.dense.K.nrows(), columns);
         for ((unit, said), UnitData { alphas, .. }) in self.part.units.iter().zip(said).zip(&data) {
             for (test, s) in unit.tests.iter().zip(said).filter(|(test, _)| !test.members.is_empty()) {
                 let left = s.clone().less(&self.leaves[test.leaf].W.times(&alphas[test.group]));
-                for &member in &test.members {
-                    add_rows(&mut y, unit.met[member] * p, &left);
-                }
+                test.members.iter().for_each(|member| member.add_rows(&mut y, unit.met[member.level], &left));
             }
         }
         let (roots, effects) = self.dense.effects(&y);
@@ -78,7 +75,7 @@ impl PartAt<'_> {
         let mut levels = DMatrix::zeros(effects.nrows(), columns);
         for (unit, own) in self.part.units.iter().zip(&units) {
             for (test, r) in unit.tests.iter().zip(&own.tests) {
-                test.members.iter().for_each(|&member| add_rows(&mut levels, unit.met[member] * p, r));
+                test.members.iter().for_each(|member| member.add_rows(&mut levels, unit.met[member.level], r));
             }
         }
         Response { units, levels, effects, roots }
@@ -122,12 +119,7 @@ impl PartAt<'_> {
         let means: Vec<Rows> = alphas.iter().zip(&weights.groups).map(mean).collect();
         let expected = |test: &CrossedTest| {
             let mut mean = means[test.group].clone();
-            for &member in &test.members {
-                for i in 0..p {
-                    let row = mean.row_mut(i);
-                    row.iter_mut().zip(effects.row(member * p + i)).for_each(|(sum, x)| *sum += x);
-                }
-            }
+            test.members.iter().for_each(|member| member.add_effects(&mut mean, &effects));
             mean
         };
         let expected: Vec<Rows> = unit.tests.iter().map(expected).collect();
@@ -167,12 +159,5 @@ impl PartAt<'_> {
         parts.iter().for_each(|part| add(&mut sum, 1.0, part));
         let roots = response.roots.transpose() * &response.roots;
         Rows::from_fn(columns, columns, |i, k| sum[(i, k)] + roots[(i, k)])
-    }
-}
-
-/// Adds rows to those of a matrix from `first` on.
-fn add_rows(to: &mut DMatrix<f64>, first: usize, of: &Rows) {
-    for i in 0..of.nrows() {
-        of.row(i).iter().enumerate().for_each(|(c, x)| to[(first + i, c)] += x);
     }
 }

@@ -18,11 +18,13 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::levels::crossed::dense::gathered;
-use crate::levels::crossed::eliminated::{EliminatedGroup, EliminatedUnit, add_block, add_columns, scatter};
+use crate::levels::crossed::eliminated::{EliminatedGroup, EliminatedUnit, scatter};
 use crate::levels::crossed::layout::{Crossing, Unit};
+use crate::levels::crossed::member::add_members;
 use crate::levels::crossed::respond::PartAt;
-use crate::levels::crossed::weights::{GroupWeights, UnitWeights, add_members, with_transpose};
+use crate::levels::crossed::weights::{GroupWeights, UnitWeights, with_transpose};
 use crate::levels::tangents::SigmaElement;
+use crate::levels::totals::add;
 use crate::levels::walk::Integrated;
 use kalfit_algebra::rows::Rows;
 
@@ -156,8 +158,9 @@ impl PartAt<'_> {
                 }
                 dN = dN.plus(&with_transpose(&both));
             }
-            let sum = &mut sums[crossing.tree[group.kind]];
-            *sum = sum.clone().plus(&dN);
+            if let Some(block) = crossing.block_of(group) {
+                sums[block] = sums[block].clone().plus(&dN);
+            }
             means.push(mean);
         }
         if let Some(of_tests) = of_tests {
@@ -165,7 +168,7 @@ impl PartAt<'_> {
                 let mean = &means[last - test.group];
                 let (W, dW) = (&self.leaves[test.leaf].W, &of_tests[test.leaf]);
                 let mut dV = mean.V.clone();
-                add_members(&mut dV, test, &dC, &mean.y);
+                add_members(&mut dV, &test.members, &dC, &mean.y);
                 let both = with_transpose(&dW.times(V).times(W));
                 let sum = &mut sums[0];
                 *sum = std::mem::replace(sum, Rows::zeros(0, 0)).plus(dW).less(&both).less(&W.times(&dV).times(W));
@@ -226,16 +229,16 @@ fn upward(
         for test in &unit.tests {
             let dW = &of_tests[test.leaf];
             let members = gathered[test.group].get_or_insert_with(none);
-            add_block(&mut members.J, dW, (0, 0));
-            for &member in &test.members {
-                add_columns(&mut members.D, dW, member);
-                test.members.iter().for_each(|&other| add_block(&mut K, dW, (member, other)));
+            add(&mut members.J, 1.0, dW);
+            for member in &test.members {
+                member.add_columns(&mut members.D, dW);
+                test.members.iter().for_each(|other| member.add_block(&mut K, dW, other));
             }
         }
     }
     let mut groups = Vec::with_capacity(unit.groups.len());
     for (number, group) in unit.groups.iter().enumerate() {
-        let is_own = crossing.tree[group.kind] == element.level;
+        let is_own = crossing.block_of(group) == Some(element.level);
         let members = gathered[number].take();
         if members.is_none() && !is_own {
             groups.push(None);
@@ -245,7 +248,7 @@ fn upward(
         let tangent = GroupTangent::of(eliminated, members.as_ref(), is_own.then_some(E), &mut K);
         if group.parent != number {
             let above = gathered[group.parent].get_or_insert_with(none);
-            add_block(&mut above.J, &tangent.W, (0, 0));
+            add(&mut above.J, 1.0, &tangent.W);
             above.D = std::mem::replace(&mut above.D, Rows::zeros(0, 0)).plus(&tangent.up);
         }
         groups.push(Some(tangent));

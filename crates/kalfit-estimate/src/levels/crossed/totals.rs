@@ -159,7 +159,7 @@ impl Totals<'_> {
                 node(0, r, &weight(&here.leaves[test.leaf].W, V));
             }
             for ((group, weights), r) in unit.groups.iter().zip(&weights.groups).zip(&own.groups) {
-                node(self.crossing.tree[group.kind], r, &weights.N);
+                self.crossing.block_of(group).iter().for_each(|block| node(*block, r, &weights.N));
             }
         }
         for (level, (factor, _)) in here.part.levels.iter().enumerate() {
@@ -255,7 +255,7 @@ impl Totals<'_> {
                 }
             }
             for ((group, r), moved) in unit.groups.iter().zip(groups).zip(&moved.groups) {
-                node(self.crossing.tree[group.kind], r, moved);
+                self.crossing.block_of(group).iter().for_each(|block| node(*block, r, moved));
             }
         }
         for (level, (factor, _)) in here.part.levels.iter().enumerate() {
@@ -302,21 +302,26 @@ impl WorkingVectors<'_> {
             let mut all = Rows::zeros(p, width * elements.len());
             for (at, element) in elements.iter().enumerate() {
                 for (i, k) in element.places() {
-                    let to = &mut all.row_mut(i)[at * width..(at + 1) * width];
-                    let mut add =
-                        |from: &mut dyn Iterator<Item = f64>| to.iter_mut().zip(from).for_each(|(to, x)| *to += x);
+                    let mut add = |i: usize, from: &mut dyn Iterator<Item = f64>| {
+                        let to = &mut all.row_mut(i)[at * width..(at + 1) * width];
+                        to.iter_mut().zip(from).for_each(|(to, x)| *to += x);
+                    };
                     if element.level == 0 {
-                        add(&mut response.tests[number].row(k)[self.first..].iter().copied());
+                        add(i, &mut response.tests[number].row(k)[self.first..].iter().copied());
                     } else if let Some(kind) = self.crossing.tree.iter().position(|own| *own == element.level) {
                         let mut group = test.group;
                         while own.groups[group].kind != kind {
                             group = own.groups[group].parent;
                         }
-                        add(&mut response.groups[group].row(k)[self.first..].iter().copied());
+                        add(i, &mut response.groups[group].row(k)[self.first..].iter().copied());
                     } else if let Some(factor) = self.crossing.factors.iter().position(|own| *own == element.level) {
-                        let row = own.met[test.members[factor]] * p + k;
-                        let levels = &self.response.levels;
-                        add(&mut (self.first..levels.ncols()).map(|c| levels[(row, c)]));
+                        let of_factor = |level: usize| self.here.part.levels[level].0 == factor;
+                        for member in test.members.iter().filter(|member| of_factor(own.met[member.level])) {
+                            let row = own.met[member.level] * p + k;
+                            let levels = &self.response.levels;
+                            let r = || (self.first..levels.ncols()).map(|c| levels[(row, c)]);
+                            member.states_of(i).for_each(|state| add(state, &mut r()));
+                        }
                     }
                 }
             }

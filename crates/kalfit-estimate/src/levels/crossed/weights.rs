@@ -97,28 +97,13 @@ impl Rest<'_> {
     /// V = P + (E-Γ)C(E-Γ)' of a test.
     fn covariance(&self, test: &CrossedTest, of_group: &Rows) -> Rows {
         let mut root = self.of_groups[test.group].clone();
-        for &member in &test.members {
-            for i in 0..self.p {
-                let column = self.dense.half.column(self.unit.met[member] * self.p + i);
-                root.row_mut(i).iter_mut().zip(column.iter()).for_each(|(rest, half)| *rest -= half);
+        for member in &test.members {
+            for &(state, effect) in member.selection.pairs() {
+                let column = self.dense.half.column(self.unit.met[member.level] * self.p + effect);
+                root.row_mut(state).iter_mut().zip(column.iter()).for_each(|(rest, half)| *rest -= half);
             }
         }
         of_group.clone().plus(&root.times_transpose(&root))
-    }
-}
-
-/// Adds ECE' - Ey - (Ey)' to a p × p matrix, with y of the states of the levels × p.
-pub(super) fn add_members(sum: &mut Rows, test: &CrossedTest, C: &Rows, y: &Rows) {
-    let p = sum.nrows();
-    for &member in &test.members {
-        for i in 0..p {
-            let (own, of_mean) = (C.row(member * p + i), y.row(member * p + i));
-            for k in 0..p {
-                let levels: f64 = test.members.iter().map(|other| own[other * p + k]).sum();
-                sum[(i, k)] += levels - of_mean[k];
-                sum[(k, i)] -= of_mean[k];
-            }
-        }
     }
 }
 

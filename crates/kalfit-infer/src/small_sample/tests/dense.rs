@@ -113,8 +113,8 @@ impl Dense {
             let first = p + crossed;
             let mut all = DMatrix::zeros(rows, first + q + 1);
             all.columns_mut(0, p).copy_from(&test.h);
-            for met in effects.iter().flat_map(|effects| effects.met_by(&j.to_string()).expect("a test")) {
-                all.columns_mut(p + met.start, p).copy_from(&test.h);
+            for (state, effect) in effects.iter().flat_map(|effects| effects.met_by(&j.to_string()).expect("a test")) {
+                all.column_mut(p + effect).axpy(1.0, &test.h.column(state), 1.0);
             }
             all.columns_mut(first, q).copy_from(&(&test.h * &test.x));
             all.set_column(first + q, &test.z);

@@ -145,6 +145,12 @@ fn a_parameter_may_stand_in_the_covariance_of_a_level_of_groups() {
     let mut model = noise(n("s")).parameter(free("s")).build().unwrap();
     let matrix = vec![vec![Expression::Parameter(0)]];
     let covariance = CovarianceStructure { kind: CovarianceKind::Fixed(matrix), ..CovarianceStructure::full() };
-    model.levels.push(GroupLevel { name: "unit".to_owned(), column: 0, crossed: false, covariance });
+    model.levels.push(GroupLevel {
+        name: "unit".to_owned(),
+        column: 0,
+        crossed: false,
+        covariance,
+        members: Vec::new(),
+    });
     assert_eq!(roles(&model), [VARIANCE], "a standard deviation there, and a variance here");
 }
