@@ -101,7 +101,9 @@ pub use expected::{ExpectedError, at_population, information_at_population};
 pub use forms::map_forms;
 pub use initial_law::law_at;
 pub use joint_law::{FlatDirection, JointLaw, Mixed};
-pub use levels::{LevelPosteriors, ScaledGroupPosterior, TestPosterior, Units, posteriors as level_posteriors};
+pub use levels::{
+    LevelPosteriors, ScaledEffectCovariance, ScaledGroupPosterior, TestPosterior, Units, posteriors as level_posteriors,
+};
 pub use local::{Local, Objective, Tangent, natural_length, natural_sizes};
 pub use newton::NewtonIterate;
 pub use noise::{NoiseInformation, ScalableNoise};

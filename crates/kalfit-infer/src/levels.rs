@@ -38,6 +38,20 @@ pub struct GroupPosterior {
     /// d`mean` / d(estimates), in the order of the covariance of all estimates (p × estimates), with zeros for estimates
     /// that are no elements of Σ; `None` where it was not computed.
     pub by_estimates: Option<DMatrix<f64>>,
+    /// Covariance of m, or of the effect of a level, with the effects of levels of crossed factors; of a level only with
+    /// those before it. Empty without factors, and where these are too many.
+    pub with_effects: Vec<EffectCovariance>,
+}
+
+/// Posterior covariance with the effect of a level of a crossed factor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EffectCovariance {
+    /// Level of the grouping of the factor.
+    pub level: usize,
+    /// Index of the group among those of that level.
+    pub group: usize,
+    /// Cov[m, effect | z] (p × p).
+    pub covariance: DMatrix<f64>,
 }
 
 /// Eigenvalue of a correlation matrix below which a direction does not vary: rounding errors of sums of squares are a
@@ -55,7 +69,7 @@ impl GroupedTests<'_> {
     fn at(&self, point: &Point) -> LevelPosteriors {
         let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
         let regressors = &self.problem.mean.regressors;
-        let follow = !regressors.is_empty() || self.leaves_directions(point);
+        let follow = !regressors.is_empty() || self.units.grouping.is_crossed() || self.leaves_directions(point);
         level_posteriors(self.units, (point, regressors), Some(&constants), follow)
     }
 
@@ -104,6 +118,12 @@ impl GroupedTests<'_> {
         (!numbers.is_empty()).then(|| DMatrix::from_fn(p, of.len(), |i, c| rows[i][c] * units[i] / of[c]))
     }
 
+    fn with_effect(&self, found: &kalfit_estimate::ScaledEffectCovariance) -> EffectCovariance {
+        let (p, scale) = (self.units.states, &self.problem.classes.frame.scale);
+        let covariance = DMatrix::from_fn(p, p, |i, k| found.covariance[i * p + k] * scale[i] * scale[k]);
+        EffectCovariance { level: found.level, group: found.group, covariance }
+    }
+
     fn group(&self, found: &kalfit_estimate::ScaledGroupPosterior, tests: usize, point: &Point) -> GroupPosterior {
         GroupPosterior {
             log_likelihood: found.log_density,
@@ -114,6 +134,7 @@ impl GroupedTests<'_> {
             tests,
             follows: self.follows(&found.follows),
             by_estimates: None,
+            with_effects: found.with_effects.iter().map(|one| self.with_effect(one)).collect(),
         }
     }
 }

@@ -54,7 +54,7 @@ pub use information::{Boundary, Uncertainty, free, uncertainty};
 pub use interval::{FEW_UNITS, Interval, IntervalKind, Intervals, has_few_units, wald};
 pub use kalfit_algebra::elements::Element;
 pub use knowledge::{Estimand, Knowledge};
-pub use levels::GroupPosterior;
+pub use levels::{EffectCovariance, GroupPosterior};
 pub use mean_limits::{MeanCombination, mean_limits};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;

@@ -135,6 +135,14 @@ pub enum Failure {
     /// A unit that the fit does not know.
     #[error("{0}")]
     UnknownUnit(Box<UnknownUnit>),
+    /// A test of groups whose covariance the fit does not hold.
+    #[error("{path} does not hold how the unit of test `{test}` and the levels that it meets are known together")]
+    UnknownTogether {
+        /// The test.
+        test: String,
+        /// The results.
+        path: String,
+    },
     /// Known units of a model without units.
     #[error("`--units known` has no effect: {why}")]
     NoUnits {
@@ -487,6 +495,9 @@ impl Failure {
             Failure::GroupTest { hint, .. } | Failure::NoProfile { hint, .. } => hint,
             Failure::HypothesisParameter { .. } => "a hypothesis restricts what the model leaves free",
             Failure::UnknownUnit(_) => "`--units new` predicts tests of units that nobody has seen",
+            Failure::UnknownTogether { .. } => {
+                "fits of very many units and levels leave it out, and so does `--no-tests`; at new levels a unit is predicted from such a fit, too"
+            }
             Failure::NoUnits { .. } | Failure::OnePhase { .. } => "leave it out",
             Failure::Crossed { hint, .. } => hint,
             Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {

@@ -106,6 +106,10 @@ figures! {
         /// not computed.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub by_estimates: Option<Vec<Vec<f64>>>,
+        /// Posterior covariance with the effects of levels of crossed factors, of a level only with those before it;
+        /// only of the innermost groups and of levels, and absent where these are too many.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        pub with_effects: Vec<EffectCovarianceRecord>,
         /// Standardised squared distance of the group from the population.
         pub distance: Option<f64> = figure { heading: "distance²" },
         /// Degrees of freedom of the distance: rank of the information from its tests.
@@ -116,6 +120,17 @@ figures! {
         #[serde(default)]
         pub deletion: Option<DeletionRecord>,
     }
+}
+
+/// Posterior covariance with the effect of a level of a crossed factor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EffectCovarianceRecord {
+    /// Name of the factor.
+    pub level: String,
+    /// Name of its level.
+    pub id: String,
+    /// Covariance, a row for each state of the group and a column for each effect.
+    pub covariance: Vec<Vec<f64>>,
 }
 
 impl LevelRecord {
@@ -216,6 +231,15 @@ impl FitRecord {
             covariance: (&found.covariance).into(),
             follows: found.follows.as_ref().map(rows),
             by_estimates: found.by_estimates.as_ref().map(rows),
+            with_effects: found
+                .with_effects
+                .iter()
+                .map(|one| EffectCovarianceRecord {
+                    level: model.levels[model.levels.len() - 1 - one.level].name.clone(),
+                    id: names(one.level, one.group).concat(),
+                    covariance: rows(&one.covariance),
+                })
+                .collect(),
             distance: (found.distance.degrees_of_freedom > 0).then_some(found.distance.squared),
             degrees_of_freedom: found.distance.degrees_of_freedom,
             p_value: found.distance.p_value,

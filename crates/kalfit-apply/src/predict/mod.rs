@@ -12,6 +12,7 @@ mod bounds;
 mod degrees;
 mod error;
 mod few_tests;
+mod known;
 mod pair;
 mod root;
 mod steps;
@@ -23,6 +24,7 @@ mod widths;
 
 pub use bounds::{Bounds, Limits, Sides};
 pub use error::PredictError;
+pub use known::KnownEffect;
 pub use pair::{Ellipse, Pair};
 
 use std::collections::{BTreeMap, HashMap};
@@ -192,8 +194,8 @@ pub struct Initial {
     /// is drawn to μ the more the less groups vary. `None` where the derivatives are not known.
     pub by_estimates: Option<HashMap<Estimand, DVector<f64>>>,
     /// Indices of the blocks of Σ, one per level, that `covariance` is the sum of.
-    pub levels: Range<usize>,
-    /// How the effects of each level enter the state.
+    pub levels: Vec<usize>,
+    /// How the effects of each level enter the state, in the slots whose groups are new.
     pub slots: LevelSlots,
     /// Number of tests that a known group has; zero for a new group.
     pub group_tests: usize,
@@ -204,7 +206,7 @@ impl Initial {
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
         let slots = model.slots();
         let Population { mean, covariance, .. } = population.together(model.dimension(), &slots);
-        let levels = 0..model.levels.len() + 1;
+        let levels = (0..=model.levels.len()).collect();
         Initial {
             mean,
             covariance,
@@ -243,7 +245,7 @@ impl Initial {
             shrinkage: by_mean.or(shrinkage),
             by_coefficients: follows.map(|follows| follows.columns(p, follows.ncols() - p).into_owned()),
             by_estimates: None,
-            levels: 0..1,
+            levels: vec![0],
             slots: LevelSlots::default(),
             group_tests: 1,
         }

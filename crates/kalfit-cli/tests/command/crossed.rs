@@ -355,3 +355,75 @@ fn slots_that_cannot_be_are_refused_in_words() {
     let said = String::from_utf8_lossy(&folder.run("check pairs.toml twice.csv").stderr).into_owned();
     assert!(said.contains("has one name in two slots of `serial`"), "{said}");
 }
+
+/// Two instruments of a known serial in slots, on stations and days; all values are known, so that what is left open of a
+/// new test is its posterior.
+const SLOTS: &str = r#"
+[data]
+test = "run"
+time = "t"
+crossed = ["station", "day"]
+[states.bias_A]
+[states.bias_B]
+[states.scale]
+[measurements.A]
+column = "ya"
+equation = "bias_A + scale"
+noise = 0.3
+[measurements.B]
+column = "yb"
+equation = "bias_B - 0.5 * scale"
+noise = 0.4
+[mean]
+fixed = { bias_A = 1.0, bias_B = 1.0, scale = 0.2 }
+[covariance]
+structure = "fixed"
+matrix = [[0.2, 0.05, 0], [0.05, 0.3, 0.1], [0, 0.1, 0.4]]
+[crossed.serial]
+as = { A = "serial_a", B = "serial_b" }
+[crossed.serial.covariance]
+structure = "fixed"
+matrix = [[0.5, 0, 0], [0, 0, 0], [0, 0, 0]]
+[crossed.station.covariance]
+structure = "fixed"
+matrix = [[0.3, 0.1, 0], [0.1, 0.3, 0.05], [0, 0.05, 0.2]]
+[crossed.day.covariance]
+structure = "fixed"
+matrix = [[0.1, 0, 0], [0, 0.2, 0.0], [0, 0.0, 0.0]]
+"#;
+
+/// A test without a measured value has the posterior of the next test of its units on its station and day.
+#[test]
+fn tests_of_known_units_are_predicted_as_their_posteriors_say() {
+    let folder = Folder::new(&[]);
+    folder.write("model.toml", SLOTS.as_bytes());
+    let wave = |seed: usize| (seed as f64 * 12.9898).sin() * 1.5;
+    let mut rows = "run,serial_a,serial_b,station,day,t,ya,yb\n".to_owned();
+    for (run, (a, b)) in [(1, 2), (2, 3), (3, 4), (4, 1), (1, 3), (4, 2), (3, 1), (2, 4)].into_iter().enumerate() {
+        let (station, day) = (run % 3 + 1, run * run % 2 + 1);
+        for t in 0..2 {
+            let [ya, yb] = [0, 1].map(|slot| 1.0 + wave(run * 7 + slot * 3 + t));
+            rows += &format!("r{run},U{a},U{b},S{station},D{day},{t},{ya:.3},{yb:.3}\n");
+        }
+    }
+    let designs = "known,U1,U3,S2,D1,0,,\nnew,U1,U9,S7,D1,0,,\nempty,U2,,S1,D2,0,,\n";
+    folder.write("data.csv", (rows.clone() + designs).as_bytes());
+    folder.write("design.csv", ("run,serial_a,serial_b,station,day,t,ya,yb\n".to_owned() + designs).as_bytes());
+    let of_all = fit(&folder, "model.toml data.csv");
+    // the levels U9 and S7 are new to this one
+    folder.write("without.csv", rows.as_bytes());
+    fit(&folder, "model.toml without.csv");
+    let output = folder.run("predict model.toml --from fit.json --design design.csv --units known --out p.csv --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let predicted = folder.table("p.csv");
+    assert_eq!(predicted.len(), 9);
+    for row in &predicted {
+        let test = of_all.tests.iter().find(|test| test.id == row["test"]).expect("it is in the fit");
+        let part = test.phases.iter().next().expect("one phase");
+        let state = ["bias_A", "bias_B", "scale"].iter().position(|name| *name == row["name"]).expect("a state");
+        let number = |column: &str| row[column].parse::<f64>().expect("a number");
+        let variance = part.covariance.rows().nth(state).expect("a row")[state];
+        // an instrument in the empty slot is of no population of serials
+        close(&[number("mean"), number("std_dev")], &[part.mean[state], variance.sqrt()], 1e-9);
+    }
+}

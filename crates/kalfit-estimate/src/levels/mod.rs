@@ -40,8 +40,8 @@ mod walk;
 
 pub(crate) use pass::{each_unit, pass};
 pub use posterior::LevelPosteriors;
-pub use posterior::ScaledGroupPosterior;
 pub use posterior::TestPosterior;
 pub use posterior::posteriors;
+pub use posterior::{ScaledEffectCovariance, ScaledGroupPosterior};
 pub use units::Units;
 pub(crate) use units::stacked;

@@ -50,6 +50,20 @@ pub struct ScaledGroupPosterior {
     pub log_density: f64,
     /// d(posterior mean) / d(mean coordinates), p × coordinates by rows; empty unless requested.
     pub follows: Vec<f64>,
+    /// Covariance with the effects of levels of crossed factors, of a level only with those before it; empty unless
+    /// requested, and where these are too many.
+    pub with_effects: Vec<ScaledEffectCovariance>,
+}
+
+/// Posterior covariance of the mean of a group with the effect of a level of a crossed factor.
+#[derive(Debug, Clone)]
+pub struct ScaledEffectCovariance {
+    /// Level of the grouping of the factor.
+    pub level: usize,
+    /// Index of the group among those of that level.
+    pub group: usize,
+    /// p × p by rows.
+    pub covariance: Vec<f64>,
 }
 
 /// Posterior of a test, with the index of the reduction, or of a group, with the level and the index in the level.
@@ -176,6 +190,7 @@ fn of_group(
             within: within.1[column],
             log_density: constant - 0.5 * (log_det + within.0 + within.1[column] + squared),
             follows: follows.clone(),
+            with_effects: Vec::new(),
         };
         MemberId::Group(node.level, numbers.groups[g], posterior)
     };

@@ -5,7 +5,7 @@ mod table;
 mod units;
 
 use kalfit::PhasedTest;
-use kalfit::predict::{Bounds, MeanLimits, Output, Predictor};
+use kalfit::predict::{Bounds, Initial, MeanLimits, Output, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
 use kalfit_data::{DataReading, Input};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
@@ -146,7 +146,8 @@ impl PredictionTask<'_> {
             work.go_on()?;
             let own = &tests[done..next];
             let initial = own.iter().map(|test| self.units.initial(test, grouping.as_ref(), &self.reading.labels));
-            let initial = initial.collect::<Result<Vec<_>, _>>()?;
+            let laws = initial.collect::<Result<Vec<_>, _>>()?;
+            let initial: Vec<&Initial> = laws.iter().map(AsRef::as_ref).collect();
             let mut found =
                 self.predictor.predict(own, &initial).map_err(|error| by_predict(error, Some(self.reading)))?;
             if let Some(limits) = &mut limits {

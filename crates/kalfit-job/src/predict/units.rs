@@ -1,15 +1,16 @@
 //! Whose tests are predicted: of new units, or of units that a fit knows.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use kalfit::predict::Initial;
+use kalfit::record::{KnownGroups, MetGroup, UnknownGroup};
 use kalfit::reduce::grouping;
-use kalfit::{Grouping, Labels, PhasedTest};
+use kalfit::{Grouping, Labels, PhasedModel, PhasedTest, Population};
 use kalfit_spec::Spec;
 
 use crate::failure::{Failure, UnknownUnit};
 use crate::job::{PredictJob, PredictedUnits};
-use crate::model;
 use crate::truth::Truth;
 
 /// The laws of initial states.
@@ -23,6 +24,8 @@ pub(super) enum UnitLaws {
         level: String,
         path: String,
     },
+    /// Of known units on known or new levels of factors.
+    Crossed { known: KnownGroups, model: Box<PhasedModel>, population: Population, path: String },
 }
 
 impl UnitLaws {
@@ -30,12 +33,20 @@ impl UnitLaws {
         if job.units == PredictedUnits::New {
             return Ok(UnitLaws::New(Initial::new(&spec.model, &truth.population)));
         }
-        let hint = "`--units new` predicts a new unit at new levels; posteriors of units and levels are in the fit";
-        model::refuse_crossed(spec, "known units are not predicted", hint)?;
-        let level = spec.model.nested().last().ok_or(Failure::NoUnits { why: "the model has no levels of groups" })?;
+        let (model, population, path) = (&spec.model, &truth.population, job.from.name());
+        if model.levels.is_empty() {
+            return Err(Failure::NoUnits { why: "the model has no levels of groups" });
+        }
         let record = truth.record.as_ref().ok_or(Failure::NoUnits { why: "a model file knows no units" })?;
-        let units = record.unit_laws(&spec.model, &truth.population);
-        Ok(UnitLaws::Known { units, level: level.name.clone(), path: job.from.name() })
+        match model.nested().last().filter(|_| model.factors().is_empty()) {
+            Some(level) => {
+                Ok(UnitLaws::Known { units: record.unit_laws(model, population), level: level.name.clone(), path })
+            }
+            None => {
+                let (known, population) = (record.known_groups(model, population), population.clone());
+                Ok(UnitLaws::Crossed { known, model: Box::new(model.clone()), population, path })
+            }
+        }
     }
 
     /// Whether the laws of known units say how their means follow the estimated covariances.
@@ -43,6 +54,7 @@ impl UnitLaws {
         match self {
             UnitLaws::New(_) => None,
             UnitLaws::Known { units, .. } => Some(units.values().all(|unit| unit.by_estimates.is_some())),
+            UnitLaws::Crossed { .. } => Some(false),
         }
     }
 
@@ -50,7 +62,7 @@ impl UnitLaws {
     pub(super) fn grouping(&self, design: &Spec, tests: &[PhasedTest]) -> Result<Option<Grouping>, Failure> {
         match self {
             UnitLaws::New(_) => Ok(None),
-            UnitLaws::Known { .. } => {
+            UnitLaws::Known { .. } | UnitLaws::Crossed { .. } => {
                 let found = grouping(&design.model, tests);
                 found.map_err(|error| Failure::Apply(Box::new(error.into())))
             }
@@ -63,30 +75,73 @@ impl UnitLaws {
         test: &PhasedTest,
         grouping: Option<&Grouping>,
         labels: &Labels,
-    ) -> Result<&Initial, Failure> {
-        let (units, level, path) = match self {
-            UnitLaws::New(initial) => return Ok(initial),
-            UnitLaws::Known { units, level, path } => (units, level, path),
-        };
-        let group = grouping.and_then(|grouping| {
-            let number = grouping.number(&test.id)?;
-            Some(grouping.groups(0)[grouping.group_of(number, 0)].path.iter().map(|&name| labels.text(name).to_owned()))
-        });
-        let name: Vec<String> = group.map(Iterator::collect).unwrap_or_default();
-        units.get(&name).ok_or_else(|| {
-            let mut known: Vec<String> = units.keys().map(|unit| format!("`{}`", unit.join("/"))).collect();
-            known.sort();
-            let more = known.len().saturating_sub(MOST);
-            let listed = known[..known.len().min(MOST)].join(", ");
-            let known = match (known.len(), more) {
-                (0, _) => "it was written without what is known of each unit".to_owned(),
-                (_, 0) => format!("it knows {listed}"),
-                _ => format!("it knows {listed} and {more} more"),
-            };
-            let (test, unit) = (test.id.to_string(), name.join("/"));
-            Failure::UnknownUnit(Box::new(UnknownUnit { test, level: level.clone(), unit, path: path.clone(), known }))
-        })
+    ) -> Result<Cow<'_, Initial>, Failure> {
+        let place = grouping.and_then(|grouping| Some((grouping, grouping.number(&test.id)?)));
+        match self {
+            UnitLaws::New(initial) => Ok(Cow::Borrowed(initial)),
+            UnitLaws::Known { units, level, path } => {
+                let name = place.map_or(Vec::new(), |(all, number)| names((all, 0, all.group_of(number, 0)), labels));
+                let found = units.get(&name).map(Cow::Borrowed);
+                found.ok_or_else(|| unknown(test, (level, path), &name.join("/"), units.keys()))
+            }
+            UnitLaws::Crossed { known, model, population, path } => {
+                let met = place.map_or(Vec::new(), |(all, number)| met(model, (all, number), labels));
+                let found = known.law((model, population), &met);
+                found.map(Cow::Owned).map_err(|why| match why {
+                    UnknownGroup::Unit => {
+                        let own = met.iter().find(|group| !model.levels[group.level].crossed);
+                        let level = &model.levels[own.map_or(0, |group| group.level)].name;
+                        let id = own.map_or(String::new(), |group| group.id.join("/"));
+                        unknown(test, (level, path), &id, known.names(level))
+                    }
+                    UnknownGroup::Together => {
+                        Failure::UnknownTogether { test: test.id.to_string(), path: path.clone() }
+                    }
+                })
+            }
+        }
     }
+}
+
+/// The names of a group of a level, the outermost first.
+fn names((grouping, level, group): (&Grouping, usize, usize), labels: &Labels) -> Vec<String> {
+    grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
+}
+
+/// The innermost group and the levels of factors that a test meets.
+fn met(model: &PhasedModel, (grouping, number): (&Grouping, usize), labels: &Labels) -> Vec<MetGroup> {
+    let mut met = Vec::new();
+    for (at, level) in model.levels.iter().enumerate() {
+        let inner = model.levels.len() - 1 - at;
+        if !level.crossed && inner > 0 {
+            continue;
+        }
+        for member in grouping.members(number, inner) {
+            let slot = level.members.iter().position(|own| member.selection == Some(&own.selection));
+            met.push(MetGroup { level: at, slot, id: names((grouping, inner, member.group), labels) });
+        }
+    }
+    met
+}
+
+fn unknown<'n>(
+    test: &PhasedTest,
+    (level, path): (&str, &str),
+    unit: &str,
+    known: impl Iterator<Item = &'n Vec<String>>,
+) -> Failure {
+    let mut known: Vec<String> = known.map(|unit| format!("`{}`", unit.join("/"))).collect();
+    known.sort();
+    let more = known.len().saturating_sub(MOST);
+    let listed = known[..known.len().min(MOST)].join(", ");
+    let known = match (known.len(), more) {
+        (0, _) => "it was written without what is known of each unit".to_owned(),
+        (_, 0) => format!("it knows {listed}"),
+        _ => format!("it knows {listed} and {more} more"),
+    };
+    let (test, unit) = (test.id.to_string(), unit.to_owned());
+    let (level, path) = (level.to_owned(), path.to_owned());
+    Failure::UnknownUnit(Box::new(UnknownUnit { test, level, unit, path, known }))
 }
 
 /// No more names than this in a message.

@@ -32,6 +32,7 @@ fn group(level: &str, id: &[&str], p_value: f64) -> UnitRecord {
         covariance: identity(),
         follows: None,
         by_estimates: None,
+        with_effects: Vec::new(),
         distance: Some(-2.0 * p_value.ln()),
         degrees_of_freedom: 2,
         p_value: Some(p_value),

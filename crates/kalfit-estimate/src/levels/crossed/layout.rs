@@ -145,6 +145,16 @@ impl Crossing {
         self.tree.get(group.kind).copied()
     }
 
+    /// Number of pairs of an innermost group and a level, and of two levels, of one part.
+    pub(super) fn effect_covariances(&self) -> usize {
+        let of = |part: &Part| {
+            let groups = part.units.iter().flat_map(|unit| &unit.groups).filter(|group| group.kind == 0).count();
+            let levels = part.levels.len();
+            levels * (groups + levels) // twice as many pairs of levels as there are
+        };
+        self.parts.iter().map(of).sum()
+    }
+
     /// Number of levels of the part that meets most.
     pub(in crate::levels) fn largest(&self) -> usize {
         self.parts.iter().map(|part| part.levels.len()).max().unwrap_or(0)

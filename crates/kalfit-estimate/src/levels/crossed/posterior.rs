@@ -5,7 +5,9 @@ use rayon::prelude::*;
 use crate::levels::crossed::layout::{Crossing, Part, TreeGroup, Unit};
 use crate::levels::crossed::respond::{PartAt, Response};
 use crate::levels::crossed::totals::{DataColumns, leaves};
-use crate::levels::posterior::{LevelPosteriors, MemberId, ScaledGroupPosterior, TestPosterior};
+use crate::levels::posterior::{
+    LevelPosteriors, MemberId, ScaledEffectCovariance, ScaledGroupPosterior, TestPosterior,
+};
 use crate::levels::units::Units;
 use crate::levels::walk::{GroupMean, Integrated, LevelLaws, RANK_TOLERANCE};
 use crate::point::{Point, Regressors};
@@ -25,7 +27,8 @@ pub(in crate::levels) fn posteriors(
 ) -> LevelPosteriors {
     let at = LevelLaws::<f64>::new(units, point, regressors);
     let leaves = leaves(units, &at);
-    let given = Given { units, crossing, at: &at, leaves: &leaves, constants, coordinates };
+    let with_effects = coordinates && crossing.effect_covariances() * units.states.pow(2) <= MOST_WITH_EFFECTS;
+    let given = Given { units, crossing, at: &at, leaves: &leaves, constants, coordinates, with_effects };
     let found: Vec<Vec<MemberId>> = crossing.parts.par_iter().map(|part| given.of_part(part)).collect();
     LevelPosteriors::gathered(units, found)
 }
@@ -37,7 +40,12 @@ struct Given<'a> {
     leaves: &'a [Integrated<f64>],
     constants: Option<&'a [f64]>,
     coordinates: bool,
+    with_effects: bool,
 }
+
+/// Most covariances of groups with effects that are kept, as numbers: a thousand units on 25 benches with two states
+/// have as many, which take some megabytes in a file of results.
+const MOST_WITH_EFFECTS: usize = 100_000;
 
 impl Given<'_> {
     fn of_part(&self, part: &Part) -> Vec<MemberId> {
@@ -85,7 +93,20 @@ impl Given<'_> {
                 let part = here.part.only_unit(number).only(&|unit, test| is_within(unit, test, at));
                 self.log_density(&part, constants)
             });
-            let posterior = self.group((&own.means[at], &weights.V), (&own.groups[at], &weights.N), alone);
+            let mut posterior = self.group((&own.means[at], &weights.V), (&own.groups[at], &weights.N), alone);
+            if self.with_effects && group.kind == 0 {
+                // E[A | b] = α - Γb
+                let covariance = |level: usize| {
+                    Rows::from_fn(here.p, here.p, |i, k| {
+                        let column = |e: usize| {
+                            let (met, effect) = (unit.met[e / here.p], e % here.p);
+                            here.dense.C[(met * here.p + effect, level * here.p + k)]
+                        };
+                        -(0..weights.gamma.ncols()).map(|e| weights.gamma[(i, e)] * column(e)).sum::<f64>()
+                    })
+                };
+                posterior.with_effects = self.covariances(here.part, 0..here.part.levels.len(), &covariance);
+            }
             found.push(MemberId::Group(block, group.number, posterior));
         }
     }
@@ -101,8 +122,27 @@ impl Given<'_> {
             self.log_density(&here.part.only(&meets), constants)
         });
         let (mean, r) = (rows(&response.effects), rows(&response.levels));
-        let posterior = self.group((&mean, &covariance), (&r, &here.dense.weight(level)), alone);
+        let mut posterior = self.group((&mean, &covariance), (&r, &here.dense.weight(level)), alone);
+        if self.with_effects {
+            let of = |other: usize| Rows::from_fn(p, p, |i, k| here.dense.C[(level * p + i, other * p + k)]);
+            posterior.with_effects = self.covariances(here.part, 0..level, &of);
+        }
         MemberId::Group(self.crossing.factors[factor], group, posterior)
+    }
+
+    /// The covariances with the effects of these levels of a part.
+    fn covariances(
+        &self,
+        part: &Part,
+        levels: std::ops::Range<usize>,
+        of: &dyn Fn(usize) -> Rows,
+    ) -> Vec<ScaledEffectCovariance> {
+        let one = |level: usize| {
+            let (factor, group) = part.levels[level];
+            let covariance = of(level).as_slice().to_vec();
+            ScaledEffectCovariance { level: self.crossing.factors[factor] - 1, group, covariance }
+        };
+        levels.map(one).collect()
     }
 
     /// The posterior of a group from the effects (p × columns) with their covariance, and from r with N.
@@ -117,6 +157,7 @@ impl Given<'_> {
             degrees_of_freedom,
             within: 0.0,
             log_density: alone,
+            with_effects: Vec::new(),
             follows: (0..p).flat_map(|i| (0..last).map(move |c| (i, c))).map(follow).collect(),
         }
     }
