@@ -20,6 +20,8 @@ pub(crate) struct TestGatherer {
     complete: Option<Vec<Test>>,
     /// Bytes of the rows of tests that may still get some.
     held: u64,
+    /// When the tests were, if it was asked for.
+    spans: Option<TestSpans>,
 }
 
 /// Tests that may still get rows, and those handed over with them.
@@ -59,6 +61,25 @@ impl TestTimes {
     }
 }
 
+/// First and last times of tests, since the first row of all.
+#[derive(Default)]
+pub(crate) struct TestSpans {
+    origin: Option<Moment>,
+    /// Nanoseconds in the unit that date-times are read in.
+    unit: i128,
+    all: Vec<[f64; 2]>,
+}
+
+impl TestSpans {
+    fn push(&mut self, times: Option<&TestTimes>) {
+        let own = times.zip(self.origin).map(|(times, origin)| {
+            let last = times.others.values().fold(times.last, |last, other| if *other > last { *other } else { last });
+            [times.first, last].map(|time| time.value(origin, self.unit) - origin.value(origin, self.unit))
+        });
+        self.all.push(own.unwrap_or([f64::NAN; 2]));
+    }
+}
+
 /// Whose turn it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum TestTurn {
@@ -75,14 +96,19 @@ const BATCH_TESTS: usize = 1024;
 const BATCH_CELLS: usize = 1_000_000;
 
 impl TestGatherer {
-    pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> TestGatherer {
+    pub(crate) fn new(
+        holds: bool,
+        (numbers, texts): (usize, usize),
+        phase_cell: Option<usize>,
+        spans: Option<TestSpans>,
+    ) -> TestGatherer {
         let open = match holds {
             true => OpenTests::All { tests: Vec::new(), current: 0, seen: HashTable::new() },
             false => {
                 OpenTests::Last { batch: Box::new(TestBatch::new(numbers, texts)), times: None, seen: HashTable::new() }
             }
         };
-        TestGatherer { numbers, texts, phase_cell, open, complete: None, held: 0 }
+        TestGatherer { numbers, texts, phase_cell, open, complete: None, held: 0, spans }
     }
 
     /// Turns to the test of the next rows, by its id and the hash of that.
@@ -153,6 +179,9 @@ impl TestGatherer {
             let Some(now) = block.time(row) else { break };
             let phase = self.phase_cell.map_or(Label::MISSING, |cell| block.texts[row * self.texts + cell]);
             let times = times.get_or_insert_with(|| TestTimes::new(phase, now));
+            if let Some(spans) = &mut self.spans {
+                (spans.origin, spans.unit) = (spans.origin.or(Some(now)), unit);
+            }
             times.advance(phase, now).map_err(|last| (row, last))?;
             if !block.moments.is_empty() {
                 block.set_time(row, now.value(times.first, unit));
@@ -175,6 +204,9 @@ impl TestGatherer {
     fn begin(&mut self, id: &str, hash: u64) {
         match &mut self.open {
             OpenTests::Last { batch, times, seen } => {
+                if let Some(spans) = self.spans.as_mut().filter(|_| !seen.is_empty()) {
+                    spans.push(times.as_ref());
+                }
                 seen.insert_unique(hash, hash, |hash| *hash);
                 (*times, self.held) = (None, 0);
                 let cells = batch.rows() * (self.numbers + self.texts).max(1);
@@ -208,6 +240,17 @@ impl TestGatherer {
             OpenTests::Last { seen, .. } => seen.len(),
             OpenTests::All { tests, .. } => tests.len(),
         }
+    }
+
+    /// When each test was, in the order of the tests; empty unless it was asked for.
+    pub(crate) fn spans(&mut self) -> Vec<[f64; 2]> {
+        let Some(mut spans) = self.spans.take() else { return Vec::new() };
+        match &self.open {
+            OpenTests::Last { times, seen, .. } if !seen.is_empty() => spans.push(times.as_ref()),
+            OpenTests::Last { .. } => {}
+            OpenTests::All { tests, .. } => tests.iter().for_each(|(_, times)| spans.push(times.as_ref())),
+        }
+        spans.all
     }
 
     /// All that is left, in batches.

@@ -119,6 +119,7 @@ pub(crate) fn run<S: TestSink>(
         }
     }
     reading.tests = gather.tests();
+    reading.spans = gather.spans();
     for batch in gather.finish() {
         hand_over(sink, batch, reading)?;
     }

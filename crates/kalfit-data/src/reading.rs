@@ -5,7 +5,7 @@ use std::io::Read;
 use kalfit::{Labels, Layout, PhasedModel, TestKey};
 
 use crate::error::DataError;
-use crate::gather::TestGatherer;
+use crate::gather::{TestGatherer, TestSpans};
 use crate::input::{Input, test_ids};
 use crate::pass::{PassEnd, PassInput, run};
 use crate::sink::{DataReading, ReadError, TestSink};
@@ -53,11 +53,12 @@ pub fn read_from<S: TestSink>(
     };
     let job = PassInput::new(inputs, &wanted, (ids, layout.test == TestKey::Row), model);
     let mut spool = StdinSpool::new(stdin, matches!(layout.test, TestKey::Column(_)));
-    if run(&job, gather(model, &wanted, false), &mut reading, sink, &mut spool)? == PassEnd::MustHold {
+    let spans = sink.wants_spans();
+    if run(&job, gather(model, &wanted, (false, spans)), &mut reading, sink, &mut spool)? == PassEnd::MustHold {
         sink.restart();
         spool.last_time();
         reading.rows = 0;
-        run(&job, gather(model, &wanted, true), &mut reading, sink, &mut spool)?;
+        run(&job, gather(model, &wanted, (true, spans)), &mut reading, sink, &mut spool)?;
     }
     Ok(reading)
 }
@@ -66,6 +67,7 @@ fn names(inputs: &[Input]) -> Vec<String> {
     inputs.iter().map(Input::name).collect()
 }
 
-fn gather(model: &PhasedModel, wanted: &WantedColumns, holds: bool) -> TestGatherer {
-    TestGatherer::new(holds, (wanted.numbers, wanted.texts), model.column)
+fn gather(model: &PhasedModel, wanted: &WantedColumns, (holds, spans): (bool, bool)) -> TestGatherer {
+    let spans = spans.then(TestSpans::default);
+    TestGatherer::new(holds, (wanted.numbers, wanted.texts), model.column, spans)
 }

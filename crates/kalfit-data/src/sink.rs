@@ -24,6 +24,11 @@ pub trait TestSink {
         Ok(())
     }
 
+    /// Whether the reading is to say when each test was: [`DataReading::spans`].
+    fn wants_spans(&self) -> bool {
+        false
+    }
+
     /// Forget all tests taken so far: rows of one of them came later, and everything is read again from the start.
     fn restart(&mut self);
 }
@@ -39,6 +44,9 @@ pub struct DataReading {
     pub rows: u64,
     /// Number of tests.
     pub tests: usize,
+    /// First and last time of each test, since the first row of all, in the unit of times; NaN without times. Empty
+    /// unless it was asked for.
+    pub spans: Vec<[f64; 2]>,
 }
 
 impl DataReading {

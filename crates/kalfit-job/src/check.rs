@@ -21,7 +21,7 @@ use crate::offset::Multipliers;
 use crate::output::OutputFile;
 use crate::survey::DataSurvey;
 use crate::work::{JobWatch, JobWork};
-use crate::{dynamic, memory, model, reductions, tests};
+use crate::{dynamic, memory, model, reductions, simultaneous, tests};
 
 /// Reads all and fits nothing.
 ///
@@ -97,6 +97,7 @@ fn started(
     let mut notes = DataSurvey::among(&spec.model, &tests).notes();
     notes.extend(level_notes(model, &counts));
     notes.extend(Multipliers::among(&spec.model, &tests).notes());
+    notes.extend(simultaneous::note(&tests, &reading.spans));
     let mut parameters = parameters(model, &slots, &counts);
     let starts = starts((&spec.model, &slots), &tests, &reading)?;
     for (slot, &start) in slots.slots().iter().zip(&starts) {

@@ -54,6 +54,7 @@ mod refused;
 mod report;
 mod results;
 mod simulate;
+mod simultaneous;
 pub mod sums;
 mod survey;
 mod table;

@@ -43,6 +43,10 @@ impl TestSink for Keep<'_, '_> {
         SinkRefusal::unless_stopped_at(self.work, done, of)
     }
 
+    fn wants_spans(&self) -> bool {
+        true
+    }
+
     fn restart(&mut self) {
         self.tests.clear();
     }

@@ -427,3 +427,44 @@ fn tests_of_known_units_are_predicted_as_their_posteriors_say() {
         close(&[number("mean"), number("std_dev")], &[part.mean[state], variance.sqrt()], 1e-9);
     }
 }
+
+/// Two tests of two units at a time, on a clock of dates: they may share a platform.
+#[test]
+fn tests_of_one_time_are_named_by_check() {
+    let folder = Folder::new(&[]);
+    folder.write(
+        "model.toml",
+        br#"
+        [data]
+        test = "run"
+        time = "at"
+        time_unit = "s"
+        [states.bias]
+        [measurements.gyro]
+        column = "gyro"
+        equation = "bias"
+        noise = "sigma"
+        [parameters]
+        sigma = {}
+        "#,
+    );
+    let rows = |apart: bool| {
+        let mut rows = "run,at,gyro\n".to_owned();
+        for second in 0..6 {
+            for run in 0..4 {
+                let day = if apart { run } else { run / 2 } + 1;
+                rows += &format!("r{run},2026-03-0{day}T10:00:0{second}Z,{}\n", 1.0 + f64::from(run * second % 5) / 10.0);
+            }
+        }
+        rows
+    };
+    let said = |rows: &str| {
+        folder.write("data.csv", rows.as_bytes());
+        let output = folder.run("check model.toml data.csv");
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        String::from_utf8_lossy(&output.stdout).split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let together = said(&rows(false));
+    assert!(together.contains("Tests `r0` and `r1` were made at the same time, and 4 tests in all"), "{together}");
+    assert!(!said(&rows(true)).contains("at the same time"));
+}
