@@ -109,7 +109,7 @@ pub(crate) enum Command {
     Compare(CompareArgs),
     /// Make the report of a fit, one HTML page, from its results
     Report(ReportArgs),
-    /// Draw a figure of a fit as SVG or PNG
+    /// Draw a figure of a fit as SVG, PDF or PNG
     Plot(PlotArgs),
     /// Print the JSON Schema of model files, with which editors complete keys and find mistakes
     #[command(after_help = examples::SCHEMA)]
@@ -712,7 +712,7 @@ pub(crate) struct PlotArgs {
           value_parser = clap::value_parser!(u32).range(i64::from(*WIDTHS.start())..=i64::from(*WIDTHS.end())))]
     pub(crate) width: u32,
 
-    /// File for the figure: `.svg` or `.png`
+    /// File for the figure: `.svg`, `.pdf` or `.png`
     #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
 }

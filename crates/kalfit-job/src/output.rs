@@ -80,7 +80,7 @@ impl OutputError {
             OutputError::Ending { option: "--report", .. } => Some(
                 "name it `.html`, from which a browser prints a PDF: `--report` takes a file for the page, `--out` one for the results, as JSON",
             ),
-            OutputError::Ending { contents: FileContents::Figure, .. } => Some("name it `.svg` or `.png`"),
+            OutputError::Ending { contents: FileContents::Figure, .. } => Some("name it `.svg`, `.pdf` or `.png`"),
             OutputError::Ending { contents: FileContents::Page, .. } => {
                 Some("name it `.html`: it is a page for a browser")
             }

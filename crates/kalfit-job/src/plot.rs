@@ -1,4 +1,4 @@
-//! `kalfit plot`: one figure of a fit or a plan, as SVG or PNG.
+//! `kalfit plot`: one figure of a fit or a plan, as SVG, PDF or PNG.
 
 use std::path::Path;
 
@@ -57,6 +57,7 @@ fn prepared(job: &PlotJob, inputs: &[&Path]) -> Result<(OutputFile, PlotFormat),
     let format = match ending.as_deref() {
         Some("svg") => PlotFormat::Svg,
         Some("png") => PlotFormat::Png,
+        Some("pdf") => PlotFormat::Pdf,
         _ => {
             let (path, option) = (job.out.clone(), "--out");
             return Err(OutputError::Ending { path, contents: FileContents::Figure, option }.into());

@@ -42,8 +42,12 @@ pub struct PlanRecord {
 /// Tests in groups.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ArrangementRecord {
-    /// Name of each level, the outermost first, and number of its groups in each group of the level above.
+    /// Name of each crossed factor, and number of its levels; then of each level, the outermost first, and number of its
+    /// groups in each group of the level above.
     pub groups: Vec<(String, usize)>,
+    /// Number of crossed factors among them.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub crossed: usize,
     /// Number of tests in each group of the innermost level.
     pub tests: usize,
 }
@@ -124,7 +128,8 @@ pub struct PlanProvenance {
 impl PlanRecord {
     /// The record of a plan. Panics when the plan is of a model with fewer states or regressions.
     pub fn new(model: &PhasedModel, plan: &Plan, provenance: PlanProvenance) -> PlanRecord {
-        let quantities = plan.quantities.iter().map(|planned| record(model, planned, plan.tests.len())).collect();
+        let all = plan.quantities.iter().filter(|planned| exists(model, planned.quantity));
+        let quantities = all.map(|planned| record(model, planned, plan.tests.len())).collect();
         PlanRecord {
             arrangements: plan.arrangements.iter().map(|one| ArrangementRecord::new(model, one)).collect(),
             ..PlanRecord::of_tests(model, plan.tests.clone(), quantities, provenance)
@@ -170,10 +175,20 @@ impl PlanRecord {
     }
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks by reference")]
+fn is_zero(count: &usize) -> bool {
+    *count == 0
+}
+
 impl ArrangementRecord {
     fn new(model: &PhasedModel, arrangement: &Arrangement) -> ArrangementRecord {
         let names = model.levels.iter().map(|level| level.name.clone());
-        ArrangementRecord { groups: names.zip(arrangement.groups.iter().copied()).collect(), tests: arrangement.tests }
+        let counts = arrangement.factors.iter().chain(&arrangement.groups).copied();
+        ArrangementRecord {
+            groups: names.zip(counts).collect(),
+            crossed: arrangement.factors.len(),
+            tests: arrangement.tests,
+        }
     }
 }
 
@@ -246,6 +261,17 @@ fn split_level(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quan
     }
 }
 
+/// Whether a quantity of a level is of effects that exist.
+fn exists(model: &PhasedModel, quantity: Quantity) -> bool {
+    let (level, of) = split_level(model, quantity);
+    let Some(level) = model.levels.iter().find(|own| Some(&own.name) == level.as_ref()) else { return true };
+    match of {
+        Quantity::StdDev(i) => level.has_effect(i),
+        Quantity::Correlation(i, j) | Quantity::Covariance(i, j) => level.has_effect(i) && level.has_effect(j),
+        Quantity::Mean(_) | Quantity::Coefficient(_) => true,
+    }
+}
+
 /// The phase that contains number `place` of all phases together, and the number within that phase.
 fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase, usize) {
     let mut remaining = place;
@@ -261,6 +287,8 @@ fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase
 fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord {
     let regressions = |model: &Model| model.mean.regression.len();
     let (level, of) = split_level(model, planned.quantity);
+    let named = model.levels.iter().find(|own| Some(&own.name) == level.as_ref());
+    let effects = named.map(|level| level.effect_names(&model.shared().estimated_names()));
     let (phase, own) = match of {
         Quantity::Mean(i) | Quantity::StdDev(i) => find(model, i, Model::dimension),
         Quantity::Correlation(i, _) | Quantity::Covariance(i, _) => find(model, i, Model::dimension),
@@ -268,7 +296,10 @@ fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord 
     };
     let model = &phase.model;
     let state = |element: usize| &model.states[model.estimated[element]];
-    let name = |element: usize| state(element).name.clone();
+    let name = |element: usize| match &effects {
+        Some(effects) => effects[element].clone(),
+        None => state(element).name.clone(),
+    };
     // both states of a pair are of the same phase
     let pair = |i: usize, j: usize| vec![name(own + j - i), name(own)];
     let (quantity, states, unit) = match of {

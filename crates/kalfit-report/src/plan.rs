@@ -34,7 +34,12 @@ pub fn plan_summary(record: &PlanRecord, style: &TextStyle) -> String {
         ("std_dev", "Expected standard errors of the standard deviations"),
         ("correlation", "Expected standard errors of the correlations"),
     ] {
-        let rows: Vec<&PlannedRecord> = record.quantities.iter().filter(|q| is_shown(q, kind)).collect();
+        // of tests in groups, most states vary at some levels only
+        let is_still = |q: &PlannedRecord| {
+            !record.arrangements.is_empty() && q.reason.as_deref() == Some("fixed") && q.value == Some(0.0)
+        };
+        let shown = record.quantities.iter().filter(|q| is_shown(q, kind) && !(kind == "std_dev" && is_still(q)));
+        let rows: Vec<&PlannedRecord> = shown.collect();
         sections.push(page.section(heading, &table(record, &rows, page.width())));
     }
     sections.push(page.section("How to read this", &page.items(&notes(record))));
@@ -87,17 +92,30 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
     wide_table(&TextColumn::new("state", ColumnSide::Left, names), &columns, width)
 }
 
-/// `10 × 4`: groups of each level, the outermost first, and tests.
+/// `10 × 4`: groups of each level, the outermost first, and tests; then `bench 6`: levels of each crossed factor.
 fn arranged(one: &ArrangementRecord) -> String {
-    let groups = one.groups.iter().map(|(_, groups)| groups);
-    groups.chain([&one.tests]).map(usize::to_string).collect::<Vec<_>>().join(" × ")
+    let (factors, nested) = one.groups.split_at(one.crossed.min(one.groups.len()));
+    let groups = nested.iter().map(|(_, groups)| groups);
+    let nested = groups.chain([&one.tests]).map(usize::to_string).collect::<Vec<_>>().join(" × ");
+    let factors = factors.iter().map(|(name, levels)| format!("{} {levels}", clean(name)));
+    std::iter::once(nested).chain(factors).collect::<Vec<_>>().join(", ")
 }
 
 /// What such a heading means, for any names of levels.
 fn explained(one: &ArrangementRecord) -> String {
+    let (factors, nested) = one.groups.split_at(one.crossed.min(one.groups.len()));
     let of_level = |(name, groups): &(String, usize)| format!("{} of `{}`", count(*groups, "group"), clean(name));
-    let groups: Vec<String> = one.groups.iter().map(of_level).collect();
-    format!("Column {}: {}, {} in each.", arranged(one), groups.join(", in each of them "), count(one.tests, "test"))
+    let groups: Vec<String> = nested.iter().map(of_level).collect();
+    let tests = match groups.is_empty() {
+        true => count(one.tests, "test"),
+        false => format!("{}, {} in each", groups.join(", in each of them "), count(one.tests, "test")),
+    };
+    let levels = factors.iter().map(|(name, levels)| format!("{} of `{}`", count(*levels, "level"), clean(name)));
+    let in_turn = match factors.is_empty() {
+        true => String::new(),
+        false => format!("; {}, which the tests meet in turn", levels.collect::<Vec<_>>().join(" and ")),
+    };
+    format!("Column {}: {tests}{in_turn}.", arranged(one))
 }
 
 pub(crate) fn two_digits(error: f64) -> String {

@@ -8,7 +8,7 @@ use kalfit_estimate::Structure;
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
 use kalfit_model::Reduction;
-use kalfit_model::{Grouping, Label};
+use kalfit_model::{Grouping, Label, Selection};
 
 /// Largest number of tests in an arrangement.
 const MOST_TESTS: usize = 200_000;
@@ -16,6 +16,8 @@ const MOST_TESTS: usize = 200_000;
 /// Number of groups in each group, and number of tests in each innermost group.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Arrangement {
+    /// Number of levels of each crossed factor, which tests meet in turn.
+    pub factors: Vec<usize>,
     /// Number of groups of each level in one group of the level above, the outermost level first.
     pub groups: Vec<usize>,
     /// Number of tests in each group of the innermost level.
@@ -39,6 +41,21 @@ impl Arrangement {
             Some(*least)
         }));
         first
+    }
+
+    /// The levels of the factors that a test meets, a level for each slot. Tests meet the levels of a factor in turn; each
+    /// time that the levels of the factors before it have had their turns, a factor moves on by one, so that all levels
+    /// of two factors meet. The members of one test are neighbours at first, then further apart.
+    fn levels(&self, test: usize, slots: &[usize]) -> Vec<usize> {
+        let mut before = 1;
+        let mut met = Vec::new();
+        for (&levels, &slots) in self.factors.iter().zip(slots) {
+            let turn = test + if before > 1 { test / before } else { 0 };
+            let apart = 1 + (test / levels) % levels.saturating_sub(1).max(1);
+            met.extend((0..slots.max(1)).map(|slot| (turn + slot * apart) % levels));
+            before *= levels;
+        }
+        met
     }
 
     /// For each test, the index of the group at each level, among the groups within one group of the level above.
@@ -69,11 +86,16 @@ pub fn plan_groups(
     let regressions = structure.regressions().len();
     population.check_named(structure.dimension(), regressions, &|i| (i + 1).to_string())?;
     let ids: Vec<&str> = reductions.iter().map(|design| design.test).collect();
-    let groups = DesignGroups::new(&ids, structure.grouping.as_deref(), structure.phases.len() - 1);
+    let of_design = structure.grouping.as_deref();
+    let nested = of_design.map_or(structure.phases.len() - 1, Grouping::nested);
+    let groups = DesignGroups::new(&ids, of_design.filter(|_| nested > 0), nested);
+    let slots: Vec<Vec<Arc<Selection>>> = of_design.map_or(Vec::new(), |grouping| {
+        (nested..grouping.depth()).rev().map(|level| grouping.slots_of(level).to_vec()).collect()
+    });
     let all: Vec<Expected> = arrangements
         .iter()
         .map(|one| {
-            let (tests, grouping) = arranged(reductions, &groups, one)?;
+            let (tests, grouping) = arranged(reductions, (&groups, &slots), one)?;
             Expected::of(&tests, &Structure { grouping: Some(grouping), ..structure.clone() }, population)
         })
         .collect::<Result<_, _>>()?;
@@ -117,6 +139,9 @@ fn is_separable(quantity: Quantity, own: usize, population: &Population, confoun
         return true;
     };
     let (block, mean) = (i / own, confounded_with.len() - 1);
+    if block >= mean {
+        return true; // of a factor: whether it can be separated is seen in the information
+    }
     let varies =
         |other: usize| other == mean || population.covariance[(other * own + i % own, other * own + i % own)] > 0.0;
     (0..confounded_with.len())
@@ -168,11 +193,11 @@ impl DesignGroups {
 /// Tests like the tests of the design, in the groups of an arrangement.
 fn arranged(
     design: &Reductions,
-    groups: &DesignGroups,
+    (groups, slots): (&DesignGroups, &[Vec<Arc<Selection>>]),
     arrangement: &Arrangement,
 ) -> Result<(Reductions, Arc<Grouping>), PlanError> {
     let total = arrangement.total();
-    if total == 0 || design.is_empty() {
+    if total == 0 || design.is_empty() || arrangement.factors.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
     if total > MOST_TESTS {
@@ -185,9 +210,12 @@ fn arranged(
         Reduction { test: id.clone(), ..design.get(number).into() }
     };
     let tests = ids.iter().enumerate().map(like).collect();
-    let names = |path: &Vec<usize>| path.iter().map(|&k| Label::literal(k)).collect();
-    let paths = ids.iter().map(String::as_str).zip(paths.iter().map(names));
-    Ok((tests, Arc::new(Grouping::from_paths(arrangement.groups.len(), paths))))
+    let widths: Vec<usize> = slots.iter().map(Vec::len).collect();
+    let names = |(test, path): (usize, &Vec<usize>)| {
+        arrangement.levels(test, &widths).iter().chain(path).map(|&k| Label::literal(k)).collect()
+    };
+    let paths = ids.iter().map(String::as_str).zip(paths.iter().enumerate().map(names));
+    Ok((tests, Arc::new(Grouping::with_slots(slots.to_vec(), arrangement.groups.len(), paths))))
 }
 
 #[cfg(test)]
@@ -201,7 +229,8 @@ mod tests {
 
     #[test]
     fn what_has_one_member_is_not_told_from_what_it_stands_in() {
-        let of = |groups: &[usize], tests| Arrangement { groups: groups.to_vec(), tests }.confounded_with();
+        let of =
+            |groups: &[usize], tests| Arrangement { factors: vec![], groups: groups.to_vec(), tests }.confounded_with();
         assert_eq!(of(&[8], 5), [0, 1, 2]);
         assert_eq!(of(&[8], 1), [0, 0, 2], "one test of each unit");
         assert_eq!(of(&[1], 5), [0, 1, 1], "one unit: its own part is not told from the mean");
@@ -228,13 +257,26 @@ mod tests {
     }
 
     #[test]
+    fn tests_meet_the_levels_of_factors_in_turn() {
+        let arrangement = Arrangement { factors: vec![3, 3], groups: vec![9], tests: 1 };
+        let met: std::collections::BTreeSet<Vec<usize>> =
+            (0..9).map(|test| arrangement.levels(test, &[0, 0])).collect();
+        assert_eq!(met.len(), 9, "all pairs of levels meet");
+        // two members of one factor are never one level, and all pairs are tested together
+        let pairs = Arrangement { factors: vec![5], groups: vec![], tests: 20 };
+        let met: std::collections::BTreeSet<Vec<usize>> = (0..20).map(|test| pairs.levels(test, &[2])).collect();
+        assert!(met.iter().all(|pair| pair[0] != pair[1]) && met.len() == 20, "{met:?}");
+    }
+
+    #[test]
     fn only_what_varies_in_both_is_untold() {
         // two states, one level; the second state varies from test to test only
         let variances = DVector::from_vec(vec![1.0, 2.0, 3.0, 0.0]);
         let covariance = DMatrix::from_diagonal(&variances);
         let population = Population { mean: vec![0.0; 4], coefficients: vec![], covariance };
         let told = |i: usize, tests: usize| {
-            is_separable(Quantity::StdDev(i), 2, &population, &Arrangement { groups: vec![8], tests }.confounded_with())
+            let arrangement = Arrangement { factors: vec![], groups: vec![8], tests };
+            is_separable(Quantity::StdDev(i), 2, &population, &arrangement.confounded_with())
         };
         assert_eq!([0, 1, 2].map(|i| told(i, 1)), [false, true, false]);
         assert_eq!([0, 1, 2].map(|i| told(i, 2)), [true; 3]);

@@ -453,7 +453,8 @@ fn tests_of_one_time_are_named_by_check() {
         for second in 0..6 {
             for run in 0..4 {
                 let day = if apart { run } else { run / 2 } + 1;
-                rows += &format!("r{run},2026-03-0{day}T10:00:0{second}Z,{}\n", 1.0 + f64::from(run * second % 5) / 10.0);
+                rows +=
+                    &format!("r{run},2026-03-0{day}T10:00:0{second}Z,{}\n", 1.0 + f64::from(run * second % 5) / 10.0);
             }
         }
         rows
@@ -467,4 +468,81 @@ fn tests_of_one_time_are_named_by_check() {
     let together = said(&rows(false));
     assert!(together.contains("Tests `r0` and `r1` were made at the same time, and 4 tests in all"), "{together}");
     assert!(!said(&rows(true)).contains("at the same time"));
+}
+
+/// In a whole table of U units × B stations the mean has the variance σ_u²/U + σ_s²/B + σ²/(UB), and the expected
+/// information on a standard deviation is that of a balanced analysis of variance.
+#[test]
+fn plans_of_more_stations_or_more_units_are_those_of_a_balanced_table() {
+    let folder = Folder::new(&[]);
+    folder.write(
+        "model.toml",
+        br#"
+        [data]
+        test = "run"
+        levels = ["unit"]
+        crossed = ["station"]
+        [states.bias]
+        [measurements.z]
+        column = "z"
+        equation = "bias"
+        noise = 0.6
+        [covariance]
+        states = []
+        "#,
+    );
+    folder.write(
+        "truth.toml",
+        br#"
+        [data]
+        test = "run"
+        levels = ["unit"]
+        crossed = ["station"]
+        [states.bias]
+        [measurements.z]
+        column = "z"
+        equation = "bias"
+        noise = 0.6
+        [mean]
+        fixed = { bias = 1 }
+        [covariance]
+        states = []
+        [levels.unit.covariance]
+        fixed = { "bias, bias" = 0.25 }
+        [crossed.station.covariance]
+        fixed = { "bias, bias" = 0.09 }
+        "#,
+    );
+    folder.write("design.csv", b"run,unit,station,z\na,U1,S1,0\n");
+    let command = "plan model.toml --from truth.toml --design design.csv --groups unit=8,16 --groups station=4,12 --tests 4 --out plan.json --quiet";
+    let output = folder.run(command);
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let text = std::fs::read_to_string(folder.path("plan.json")).expect("it was written");
+    let record: kalfit::record::PlanRecord = serde_json::from_str(&text).expect("a plan");
+    let (units, stations, noise) = (0.25_f64, 0.09_f64, 0.36_f64);
+    for (k, one) in record.arrangements.iter().enumerate() {
+        let [(_, levels), (_, groups)] = one.groups[..] else { panic!("{one:?}") };
+        assert_eq!((one.crossed, record.tests[k]), (1, 4 * groups));
+        if levels != 4 {
+            continue; // units meet a part of the stations
+        }
+        let (u, s) = (groups as f64, levels as f64);
+        let of = |quantity: &str, level: Option<&str>| {
+            let own = |q: &&kalfit::record::PlannedRecord| q.quantity == quantity && q.level.as_deref() == level;
+            record.quantities.iter().find(own).and_then(|q| q.std_error[k]).expect("known")
+        };
+        close(&[of("mean", None)], &[(units / u + stations / s + noise / (u * s)).sqrt()], 1e-9);
+        // information about (σ_u², σ_s²) by the strata of the table: units, stations, and the mean
+        let (of_units, of_stations) = (noise + s * units, noise + u * stations);
+        let both = noise + s * units + u * stations;
+        let matrix = [
+            0.5 * s * s * ((u - 1.0) / of_units.powi(2) + 1.0 / both.powi(2)),
+            0.5 * u * s / both.powi(2),
+            0.5 * u * u * ((s - 1.0) / of_stations.powi(2) + 1.0 / both.powi(2)),
+        ];
+        let determinant = matrix[0] * matrix[2] - matrix[1].powi(2);
+        let errors = [(matrix[2] / determinant).sqrt(), (matrix[0] / determinant).sqrt()];
+        let expected = [errors[0] / (2.0 * units.sqrt()), errors[1] / (2.0 * stations.sqrt())];
+        close(&[of("std_dev", Some("unit")), of("std_dev", Some("station"))], &expected, 1e-8);
+    }
 }

@@ -52,7 +52,7 @@ fn version_and_help() {
       compare      Compare fits of the same data: likelihoods, AIC, BIC, likelihood-ratio tests of
                    nested fits
       report       Make the report of a fit, one HTML page, from its results
-      plot         Draw a figure of a fit as SVG or PNG
+      plot         Draw a figure of a fit as SVG, PDF or PNG
       schema       Print the JSON Schema of model files, with which editors complete keys and find
                    mistakes
       completions  Print the script that completes commands and options in a shell

@@ -104,7 +104,7 @@ fn what_cannot_be_drawn_is_refused() {
     let folder = timed();
     assert_eq!(folder.run("fit timed.toml timed.csv -q -o few.json --deletion none").status.code(), Some(0));
     let all: Vec<String> = [
-        "plot fit.json --out forest.pdf",
+        "plot fit.json --out forest.gif",
         "plot fit.json --what records --out f.svg",
         "plot fit.json timed.csv --out f.svg",
         "plot few.json --what influence --out f.svg",
@@ -116,13 +116,13 @@ fn what_cannot_be_drawn_is_refused() {
     .map(|line| format!("$ kalfit {line}\n{}", shown(&folder.run(line))))
     .collect();
     assert_snapshot!(all.join("\n"), @"
-    $ kalfit plot fit.json --out forest.pdf
+    $ kalfit plot fit.json --out forest.gif
     exit 2
     ----- stdout
     ----- stderr
-    error: the output `forest.pdf` would hold a figure, which its ending does not say
+    error: the output `forest.gif` would hold a figure, which its ending does not say
 
-    hint: name it `.svg` or `.png`
+    hint: name it `.svg`, `.pdf` or `.png`
 
     $ kalfit plot fit.json --what records --out f.svg
     exit 2

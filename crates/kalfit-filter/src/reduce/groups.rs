@@ -54,9 +54,20 @@ pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grou
         _ => Err(GroupingError::NoRows { test: test.id.to_string() }),
     };
     let paths = tests.iter().map(|test| Ok((test.id.as_str(), path(test)?)));
+    Ok(grouping_of(model, paths.collect::<Result<Vec<_>, _>>()?))
+}
+
+/// Groups tests, each given by (id, names of its groups as from [`groups_of`]); `None` for a model without levels.
+pub fn grouping_of<'a>(
+    model: &PhasedModel,
+    tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>,
+) -> Option<Grouping> {
+    if model.levels.is_empty() {
+        return None;
+    }
     let slots = |factor: &GroupLevel| factor.members.iter().map(|member| member.selection.clone()).collect();
     let factors = model.factors().iter().map(slots).collect();
-    Ok(Some(Grouping::with_slots(factors, model.nested().len(), paths.collect::<Result<Vec<_>, _>>()?)))
+    Some(Grouping::with_slots(factors, model.nested().len(), tests))
 }
 
 /// Names of the groups of a test, in the order of the levels of the model, a factor with several members slot by slot;

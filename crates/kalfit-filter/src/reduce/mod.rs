@@ -106,7 +106,7 @@ pub use kalfit_model::{
 
 pub use error::{Cell, ReduceError, ReduceErrorKind};
 pub use flops::reduction_flops;
-pub use groups::{GroupingError, grouping, groups_of};
+pub use groups::{GroupingError, grouping, grouping_of, groups_of};
 pub use phased::PhasedReducer;
 pub use plain::{Plain, StepMatrices};
 pub use reducer::{Reducer, Work};

@@ -7,7 +7,7 @@ use kalfit::model::PhasedModel;
 use kalfit::plan::{Arrangement, plan_groups};
 use kalfit::record::DataRecord;
 use kalfit::record::{PlanProvenance, PlanRecord};
-use kalfit::reduce::{GroupingError, PhasedReducer, groups_of};
+use kalfit::reduce::{GroupingError, PhasedReducer, grouping_of, groups_of};
 use kalfit::{Alpha, Grouping, Label, Labels, PhasedTest, Reductions, Test};
 use kalfit_data::{Input, TestSink};
 use kalfit_spec::Spec;
@@ -77,8 +77,11 @@ fn arrangements(model: &PhasedModel, job: &DesignPlan) -> Result<Vec<Arrangement
     if names.is_empty() {
         return Ok(Vec::new());
     }
-    let with_tests =
-        |groups: Vec<usize>| job.tests.iter().map(move |&tests| Arrangement { groups: groups.clone(), tests });
+    let crossed = model.factors().len();
+    let with_tests = |counts: Vec<usize>| {
+        let (factors, groups) = (counts[..crossed].to_vec(), counts[crossed..].to_vec());
+        job.tests.iter().map(move |&tests| Arrangement { factors: factors.clone(), groups: groups.clone(), tests })
+    };
     Ok(all.into_iter().flat_map(with_tests).collect())
 }
 
@@ -122,8 +125,7 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut JobWork<'_>)
     let DesignReducer { reductions, paths, .. } = sink;
     let refused = |error: GroupingError| Failure::Apply(Box::new(error.into()));
     let paths = paths.into_iter().collect::<Result<Vec<_>, _>>().map_err(refused)?;
-    let depth = spec.model.levels.len();
-    let ids = reductions.iter().map(|design| design.test);
-    let grouping = (depth > 0).then(|| Arc::new(Grouping::from_paths(depth, ids.zip(paths))));
+    let ids: Vec<&str> = reductions.iter().map(|design| design.test).collect();
+    let grouping = grouping_of(&spec.model, ids.into_iter().zip(paths)).map(Arc::new);
     Ok((reductions, grouping))
 }

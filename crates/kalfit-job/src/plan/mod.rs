@@ -28,10 +28,13 @@ impl From<error::BestPlanError> for Failure {
 pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecord>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     memory::suffices(&spec)?;
-    let hint = "a plan of the model without `crossed` promises too small errors; `kalfit simulate` and fits of what it draws tell them";
-    model::refuse_crossed(&spec, "plans are not made", hint)?;
     match &job.request {
         PlanRequest::Design(plan) => design::expected(job, plan, (spec, truth), watch),
-        PlanRequest::Best(best) => choose::choose(job, best, (spec, truth), watch),
+        PlanRequest::Best(best) => {
+            let hint =
+                "`--groups` and `--tests` compare numbers of levels, units and tests, as in `--groups bench=6,12`";
+            model::refuse_crossed(&spec, "the best of candidates is not sought", hint)?;
+            choose::choose(job, best, (spec, truth), watch)
+        }
     }
 }

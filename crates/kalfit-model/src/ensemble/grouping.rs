@@ -181,6 +181,11 @@ impl Grouping {
         !self.slots[level].is_empty()
     }
 
+    /// The slots of a level.
+    pub fn slots_of(&self, level: usize) -> &[Arc<Selection>] {
+        &self.slots[level]
+    }
+
     /// The slots of all levels.
     pub fn all_slots(&self) -> impl Iterator<Item = &Selection> {
         self.slots.iter().flatten().map(Arc::as_ref)

@@ -1,19 +1,19 @@
 //! μ and Σ, phase by phase: tables with intervals, forest plot, correlations, ellipses.
 
 use kalfit::FitRecord;
-use kalfit::record::PhaseRecord;
+use kalfit::record::{LevelRecord, PhaseRecord};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
 use crate::html::chart::{PageChart, PageCharts, figure};
-use crate::html::forest::{self, ForestGroup};
+use crate::html::forest::{self, ForestGroup, ForestRow};
 use crate::html::math::{self, equation, hat, op, row};
 use crate::html::phase::forest_row;
 use crate::html::section::PageSection;
 use crate::html::{across, phase, posteriors};
 use crate::number::plain;
 use crate::page::PageLayout;
-use crate::summary::{correlations, intervals, phases, places, states};
+use crate::summary::{correlations, intervals, levels, phases, places, states};
 use crate::words::clean;
 
 /// A larger Σ is not written as a matrix.
@@ -83,8 +83,8 @@ fn matrices(one: &PhaseRecord) -> Markup {
     } }
 }
 
-/// Means and standard deviations, those of one unit together.
-pub(crate) fn groups(one: &PhaseRecord) -> Vec<ForestGroup> {
+/// Means and standard deviations, those of one unit together; of tests in groups the deviations of every level.
+pub(crate) fn groups(record: &FitRecord, one: &PhaseRecord) -> Vec<ForestGroup> {
     let mut groups: Vec<ForestGroup> = Vec::new();
     for kind in [phase::StateFigure::Mean, phase::StateFigure::StdDev] {
         let mut units: Vec<String> = Vec::new();
@@ -96,7 +96,12 @@ pub(crate) fn groups(one: &PhaseRecord) -> Vec<ForestGroup> {
         }
         for unit in units {
             let of_unit = |i: &usize| one.units.get(*i).cloned().flatten().unwrap_or_default() == unit;
-            let rows = (0..one.states.len()).filter(of_unit).filter_map(|i| forest_row(one, kind, i)).collect();
+            let of_state = |i: usize| match kind {
+                phase::StateFigure::StdDev if !record.levels.is_empty() => spreads(record, one, i),
+                _ if phase::is_held_at_zero(one, kind, i) => Vec::new(),
+                _ => forest_row(one, kind, i).into_iter().collect(),
+            };
+            let rows = (0..one.states.len()).filter(of_unit).flat_map(of_state).collect();
             let label =
                 if unit.is_empty() { kind.name().to_owned() } else { format!("{} [{}]", kind.name(), clean(&unit)) };
             groups.push(ForestGroup { label, rows });
@@ -105,15 +110,31 @@ pub(crate) fn groups(one: &PhaseRecord) -> Vec<ForestGroup> {
     groups
 }
 
+/// The standard deviations of a state at every level where it varies.
+fn spreads(record: &FitRecord, one: &PhaseRecord, i: usize) -> Vec<ForestRow> {
+    let row = |(level, place): (&LevelRecord, String)| {
+        let e = level.effect_on(&one.states, i).filter(|&e| !levels::is_held_at_zero(level, e))?;
+        let (shown, beside) = levels::std_dev(level, e);
+        Some(ForestRow {
+            name: format!("{}, {place}", clean(&one.states[i])),
+            estimate: *level.std_dev.estimate.get(e)?,
+            ends: level.std_dev.interval95.get(e).copied().flatten(),
+            words: forest::words(&shown, &beside, &levels::interval(level, e)),
+            reference: None,
+        })
+    };
+    record.all_levels().zip(places::places(record)).filter_map(row).collect()
+}
+
 fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut PageCharts) -> Option<Markup> {
     let title = format!("{name}Estimates with 95 % intervals");
     let caption = format!(
-        "Top: the mean over all tests. Below: how much tests{} differ (standard deviation). If the interval of a mean contains zero, \
+        "Top: the mean over all tests. Below: how much {} differ (standard deviation). If the interval of a mean contains zero, \
          the mean may be zero; a long interval means that more tests are needed. Open marks have no interval: the value is fixed, on \
          the boundary or not identified.",
-        places::within(record)
+        if record.levels.is_empty() { "tests" } else { "groups of every level and tests" }
     );
-    forest::forest(&title, &caption, groups(one), charts)
+    forest::forest(&title, &caption, groups(record, one), charts)
 }
 
 fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut PageCharts) -> Option<Markup> {

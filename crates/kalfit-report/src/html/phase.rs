@@ -124,6 +124,11 @@ pub(super) fn elements(phase: &PhaseRecord, page: &PageLayout<'_>) -> Markup {
     @if all > MOST_ELEMENTS { p { "The first " (MOST_ELEMENTS) " of " (all) " elements; all are in fit.json." } } } }
 }
 
+/// The model says that a state does not vary.
+pub(super) fn is_held_at_zero(one: &PhaseRecord, kind: StateFigure, i: usize) -> bool {
+    kind == StateFigure::StdDev && kind.fixed(one, i) && kind.estimate(one, i) == Some(0.0)
+}
+
 /// An estimate in a forest plot; nothing where there is none.
 pub(super) fn forest_row(one: &PhaseRecord, kind: StateFigure, i: usize) -> Option<ForestRow> {
     let estimate = kind.estimate(one, i)?;

@@ -26,7 +26,7 @@ impl ForestPlot {
         let several = record.phases.len() > 1;
         let mut groups = Vec::new();
         for phase in &record.phases {
-            groups.extend(estimates::groups(phase).into_iter().map(|mut group| {
+            groups.extend(estimates::groups(record, phase).into_iter().map(|mut group| {
                 if several {
                     group.label = format!("{}: {}", clean(&phase.name), group.label);
                 }

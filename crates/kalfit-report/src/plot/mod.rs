@@ -11,6 +11,7 @@ mod ellipses;
 mod error;
 mod forest;
 mod influence;
+mod pdf;
 mod picture;
 mod png;
 mod records;

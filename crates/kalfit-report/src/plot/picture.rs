@@ -2,7 +2,7 @@
 
 use crate::plot::canvas::{LINE, PlotCanvas, PlotScene, WORDS, lines};
 use crate::plot::error::PlotError;
-use crate::plot::{png, svg};
+use crate::plot::{pdf, png, svg};
 use crate::words::clean;
 
 /// Height of the heading, without its caption.
@@ -15,6 +15,8 @@ pub enum PlotFormat {
     Svg,
     /// Points.
     Png,
+    /// A page.
+    Pdf,
 }
 
 /// A figure that knows how to draw itself, in points, below its heading.
@@ -39,6 +41,7 @@ pub(super) trait DrawablePlot {
         match format {
             PlotFormat::Svg => Ok(svg::svg(&scene).into_bytes()),
             PlotFormat::Png => png::png(&scene),
+            PlotFormat::Pdf => pdf::pdf(&scene),
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::plot::svg::MIDDLE;
 /// Pixels in a point.
 const PIXELS: f32 = 2.0;
 /// Latin, Greek and Cyrillic letters and mathematical signs of DejaVu Sans; see assets/README.md.
-const FONT: &[u8] = include_bytes!("../../assets/DejaVuSans.ttf");
+pub(super) const FONT: &[u8] = include_bytes!("../../assets/DejaVuSans.ttf");
 
 pub(super) fn png(scene: &PlotScene) -> Result<Vec<u8>, PlotError> {
     let failed = |what: String| PlotError::Draw(what);

@@ -96,14 +96,14 @@ fn is_open(level: &LevelRecord, i: usize) -> bool {
         .any(|one| one.elements.iter().zip(&one.direction).any(|(element, weight)| *element == own && *weight != 0.0))
 }
 
-fn interval(level: &LevelRecord, i: usize) -> String {
+pub(crate) fn interval(level: &LevelRecord, i: usize) -> String {
     let Some([low, high]) = level.std_dev.interval95.get(i).copied().flatten() else { return String::new() };
     let precision = FigurePrecision::of(level.std_dev.estimate[i], level.std_dev.std_error.get(i).copied().flatten());
     let end = |x: Option<f64>, open: &str| x.map_or_else(|| open.to_owned(), |x| precision.show(x));
     format!("{} to {}", end(low, "0"), end(high, "∞"))
 }
 
-pub(super) fn std_dev(level: &LevelRecord, i: usize) -> FigureCells {
+pub(crate) fn std_dev(level: &LevelRecord, i: usize) -> FigureCells {
     let Some(&estimate) = level.std_dev.estimate.get(i) else { return Default::default() };
     if is_open(level, i) {
         return ("-".to_owned(), "not identified".to_owned());

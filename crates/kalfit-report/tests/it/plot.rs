@@ -69,11 +69,25 @@ fn figures_that_are_no_numbers_do_no_harm() {
     record.phases[0].std_dev.estimate[1] = f64::INFINITY;
     record.phases[0].mean.interval95 = vec![Some([Some(f64::NEG_INFINITY), Some(1e308)]); 3];
     record.phases[0].covariance.estimate[0][0] = 1e300;
-    for format in [PlotFormat::Svg, PlotFormat::Png] {
+    for format in [PlotFormat::Svg, PlotFormat::Png, PlotFormat::Pdf] {
         for what in [PlotKind::Forest, PlotKind::Ellipses] {
             let made = plot(&record, what, (None, None), (format, 400)).unwrap_or_default();
             let text = String::from_utf8_lossy(&made);
-            assert!(format == PlotFormat::Png || !(text.contains("NaN") || text.contains("inf")), "{text}");
+            assert!(format != PlotFormat::Svg || !(text.contains("NaN") || text.contains("inf")), "{text}");
         }
     }
+}
+
+#[test]
+fn a_pdf_has_its_words_as_text() {
+    let made = plot(&common::singular(), PlotKind::Forest, (None, None), (PlotFormat::Pdf, 800)).expect("a figure");
+    let text = String::from_utf8_lossy(&made);
+    assert!(text.starts_with("%PDF-1.7") && text.trim_end().ends_with("%%EOF"));
+    // the table of letters: each glyph with its character
+    let map = text.split("beginbfchar").nth(1).expect("letters").split("endbfchar").next().expect("an end");
+    for letter in "m\u{b1}9".chars() {
+        assert!(map.contains(&format!("<{:04X}>", u32::from(letter))), "{letter}: {map}");
+    }
+    let again = plot(&common::singular(), PlotKind::Forest, (None, None), (PlotFormat::Pdf, 800)).expect("a figure");
+    assert!(made == again, "the same bytes every time");
 }
