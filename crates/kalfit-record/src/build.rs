@@ -71,6 +71,7 @@ impl FitRecord {
         let comparable = !of_estimates && estimate.composite.is_none();
         let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
         let (phases, levels, crossed) = phases_and_levels(model, estimate, inference, reductions);
+        let estimates = estimates(model, inference, slots);
         FitRecord {
             schema: "kalfit-fit/1".to_owned(),
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -97,16 +98,19 @@ impl FitRecord {
             std_errors: std_errors(inference).to_owned(),
             intervals: intervals(inference).to_owned(),
             df_method: few_tests::method(inference).map(str::to_owned),
-            heterogeneity: match slots {
-                None => heterogeneity(estimate, reductions).map(HeterogeneityRecord::from),
-                Some(_) => None,
+            heterogeneity: match (slots, phases.first()) {
+                (None, Some(phase)) => {
+                    let law = estimates.as_ref().and_then(|known| known.few_tests.as_ref());
+                    heterogeneity(estimate, reductions).map(|found| HeterogeneityRecord::new(&found, phase, law))
+                }
+                _ => None,
             },
             phases,
             levels,
             crossed,
             groups: Vec::new(),
             parameters,
-            estimates: estimates(model, inference, slots),
+            estimates,
             starts: Vec::new(),
             methods: Vec::new(),
             constraints: constraints(model, &inference.sensitivities),

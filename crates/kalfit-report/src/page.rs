@@ -98,7 +98,7 @@ impl<'a> PageLayout<'a> {
 }
 
 /// Text as HTML, with what stands between backticks as code; a backtick without a second one stays.
-fn coded(text: &str) -> Markup {
+pub(crate) fn coded(text: &str) -> Markup {
     let parts: Vec<&str> = text.split('`').collect();
     let is_code = |k: usize| k % 2 == 1 && k + 1 < parts.len();
     html! {

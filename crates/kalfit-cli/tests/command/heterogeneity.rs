@@ -35,8 +35,24 @@ fn trials_differ_as_metafor_says() {
         near::absolute("H²", number("h_squared"), h_squared, 5e-3);
         assert!(summary.contains("Spread of effect between tests: I² ="), "{summary}");
     }
-    // by maximum likelihood too; not where the spread is fixed
-    assert!(fit(&folder, "plain.toml", "").0["heterogeneity"].is_object());
+    // by maximum likelihood too: limits of a new trial are mean ± 1.96 √(τ² + se²), as metafor's
+    let (record, summary) = fit(&folder, "plain.toml", "");
+    let limits = &record["heterogeneity"]["prediction95"];
+    near::absolute("lower", limits[0].as_f64().unwrap(), -1.8017, 5e-4);
+    near::absolute("upper", limits[1].as_f64().unwrap(), 0.3793, 5e-4);
+    assert!(summary.contains("The effect of a new test is between -1.80 and 0.38 with probability 95 %."), "{summary}");
+    // with few tests they are those of `predict`
+    let found = fit(&folder, "plain.toml", "--criterion reml").0["heterogeneity"].clone();
+    let output = folder.run("predict plain.toml --from fit.json --design moderators.csv --out p.csv --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let row = &folder.table("p.csv")[0];
+    let same = |column: &str, found: &Value| {
+        near::absolute(column, found.as_f64().unwrap(), row[column].parse().unwrap(), 1e-6);
+    };
+    same("prediction_lower", &found["prediction95"][0]);
+    same("prediction_upper", &found["prediction95"][1]);
+    same("df", &found["prediction_df"]);
+    // not where the spread is fixed
     folder.write(
         "fixed.toml",
         format!("{}\n[covariance]\nfixed = {{ \"effect, effect\" = 0 }}\n", without.join("\n")).as_bytes(),

@@ -47,7 +47,7 @@ fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut PageCharts, pa
     let rest = states::scales(one, page) + &states::regression(one, page);
     html! {
         h3 { (name) (if several { "mean" } else { "Mean" }) (spread_of_what(record)) }
-        (PreEscaped(page.table(&phase::columns(one))))
+        (PreEscaped(page.table(&phase::columns(record, one))))
         @if let Some(sentence) = places::elsewhere(record) { p { (sentence) } }
         (PreEscaped(rest))
         p.hint { "± " (states::std_error(&record.std_errors)) "; intervals are 95 %, "
@@ -64,11 +64,8 @@ fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut PageCharts, pa
 }
 
 /// Whose spread it is, after "Mean".
-fn spread_of_what(record: &FitRecord) -> String {
-    match places::within(record) {
-        none if none.is_empty() => " and spread over the tests".to_owned(),
-        within => format!(", and spread{within}"),
-    }
+fn spread_of_what(record: &FitRecord) -> &'static str {
+    if record.levels.is_empty() { " and spread over the tests" } else { ", and standard deviation at each level" }
 }
 
 fn matrices(one: &PhaseRecord) -> Markup {

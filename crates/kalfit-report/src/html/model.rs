@@ -7,7 +7,7 @@ use crate::html::math::equation;
 use crate::html::math::{self, EquationPart};
 use crate::html::section::PageSection;
 use crate::summary::places;
-use crate::words::{clean, sentence};
+use crate::words::{clean, list, sentence};
 
 /// No more facts than this; the model file has them all.
 const MOST_FACTS: usize = 400;
@@ -64,11 +64,21 @@ fn equations(record: &FitRecord) -> Markup {
             p { "Tests belong to groups. " (equation(letter("Σ"))) " is the covariance within one " (unit) "; each group adds its own \
                  random contribution to the initial states of its tests, with mean zero and the covariance of its level." }
         }
+        @if !record.crossed.is_empty() {
+            p { "Tests that meet one level of a crossed factor (" (factors(record)) ") share its effect on their initial states, which \
+                 has mean zero and the covariance of the factor." }
+        }
         @if phased {
             p { "A test has several phases, each with its own random initial state; a later phase inherits from the end of the one \
                  before it as the model defines." }
         }
     }
+}
+
+/// The names of the crossed factors.
+fn factors(record: &FitRecord) -> String {
+    let names: Vec<String> = record.crossed.iter().map(|factor| clean(&factor.level.name)).collect();
+    list(&names, usize::MAX)
 }
 
 /// A fact with its names set as code: they stand between backticks.

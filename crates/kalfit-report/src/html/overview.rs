@@ -6,7 +6,7 @@ use maud::{Markup, PreEscaped, html};
 
 use crate::html::section::PageSection;
 use crate::number::hundredths;
-use crate::page::PageLayout;
+use crate::page::{PageLayout, coded};
 use crate::summary::{self, headline, parameters, phases, places, states};
 use crate::words::clean;
 
@@ -29,7 +29,7 @@ pub(super) fn section(record: &FitRecord) -> Option<PageSection> {
         (PreEscaped(summary::advice::section(record, &page)))
         dl.cards { @for (name, value) in &cards { div { dt { (name) } dd { (value) } } } }
         @for sentence in phases::combined(record) { p { (sentence) } }
-        @if let Some(sentence) = places::counted(record) { p { (sentence) } }
+        @if let Some(sentence) = places::counted(record) { p { (coded(&sentence)) } }
         @if record.log_likelihood_kind == "estimates" { p { (headline::OF_ESTIMATES) } }
         (PreEscaped(summary::notes(record, &page)))
     };

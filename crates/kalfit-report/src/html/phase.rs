@@ -1,13 +1,14 @@
 //! The figures of one phase as rows of tables and of forest plots.
 
-use kalfit::record::{Interval, PhaseRecord};
+use kalfit::FitRecord;
+use kalfit::record::{Interval, LevelRecord, PhaseRecord};
 use maud::{Markup, PreEscaped, html};
 
 use crate::html::forest::{self, ForestRow};
 use crate::page::PageLayout;
-use crate::summary::few_tests;
 use crate::summary::parameters::ends_in_words;
 use crate::summary::states::{self, FigureCells, cells};
+use crate::summary::{few_tests, levels, places};
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
@@ -77,8 +78,8 @@ impl StateFigure {
     }
 }
 
-/// State by state: mean and standard deviation with intervals.
-pub(super) fn columns(phase: &PhaseRecord) -> Vec<TextColumn> {
+/// State by state: mean with intervals, and standard deviation with intervals or, of tests in groups, at every level.
+pub(super) fn columns(record: &FitRecord, phase: &PhaseRecord) -> Vec<TextColumn> {
     let p = phase.states.len();
     let units = (0..p).map(|i| phase.units.get(i).cloned().flatten().unwrap_or_default()).collect();
     let mut columns = vec![
@@ -86,6 +87,10 @@ pub(super) fn columns(phase: &PhaseRecord) -> Vec<TextColumn> {
         TextColumn::new("unit", ColumnSide::Left, units),
     ];
     for (kind, name) in [(StateFigure::Mean, "mean"), (StateFigure::StdDev, "std dev")] {
+        if kind == StateFigure::StdDev && !record.levels.is_empty() {
+            columns.extend(of_levels(record, phase));
+            continue;
+        }
         let (values, beside): (Vec<_>, Vec<_>) = (0..p).map(|i| kind.cells(phase, i)).unzip();
         columns.push(TextColumn::new(name, ColumnSide::Right, values));
         columns.push(TextColumn::new("", ColumnSide::Left, beside));
@@ -93,6 +98,19 @@ pub(super) fn columns(phase: &PhaseRecord) -> Vec<TextColumn> {
         columns.push(TextColumn::new(&format!("95 % interval of the {name}"), ColumnSide::Left, intervals));
     }
     columns
+}
+
+/// The standard deviation of each state at every level; empty where it does not vary.
+fn of_levels(record: &FitRecord, phase: &PhaseRecord) -> Vec<TextColumn> {
+    let of_level = |(level, place): (&LevelRecord, String)| {
+        let cells = |i: usize| {
+            let varying = level.effect_on(&phase.states, i).filter(|&e| !levels::is_held_at_zero(level, e));
+            varying.map_or_else(FigureCells::default, |e| levels::std_dev(level, e))
+        };
+        let (values, beside): (Vec<_>, Vec<_>) = (0..phase.states.len()).map(cells).unzip();
+        [TextColumn::new(&place, ColumnSide::Right, values), TextColumn::new("", ColumnSide::Left, beside)]
+    };
+    record.all_levels().zip(places::places(record)).flat_map(of_level).collect()
 }
 
 /// The elements of Σ, folded away.

@@ -42,15 +42,9 @@ pub(crate) fn outer(record: &FitRecord) -> Vec<(&LevelRecord, String)> {
     record.all_levels().zip(places).filter(|(level, _)| level.column.is_some()).collect()
 }
 
-/// Where a reader finds what varies from group to group.
+/// Where a reader finds the intervals of what varies from group to group.
 pub(crate) fn elsewhere(record: &FitRecord) -> Option<String> {
-    let groups = record.all_levels().count().checked_sub(1).filter(|groups| *groups > 0)?;
-    let places: Vec<String> = places(record)[..groups].iter().map(|place| format!("from {place}")).collect();
-    let unit = innermost(record).map_or_else(|| "alone".to_owned(), |unit| format!("of one {unit}"));
-    Some(format!(
-        "These standard deviations describe tests {unit}; see \"{TABLE}\" for those {}.",
-        list(&places, MOST_NAMES)
-    ))
+    (!record.levels.is_empty()).then(|| format!("Intervals of the standard deviations are in \"{TABLE}\"."))
 }
 
 /// Where the states of each crossed factor and of each level vary, the outermost first: `station to station`,

@@ -7,7 +7,7 @@ use super::combination::covariance_of;
 use super::{few_tests, levels, places};
 use crate::number::{FigurePrecision, p_value, plain};
 use crate::page::PageLayout;
-use crate::table::{ColumnSide, TextColumn, wide_table};
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
 /// A figure and what is known of its error, in two cells.
@@ -59,10 +59,11 @@ pub(crate) fn section(
 }
 
 /// How much tests differ beyond their noise, where that is known.
-fn heterogeneity(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
-    let found = record.heterogeneity.as_ref().filter(|_| record.phases.len() == 1)?;
-    let state = clean(phase.states.first()?);
-    Some(format!(
+fn heterogeneity(record: &FitRecord, phase: &PhaseRecord) -> Vec<String> {
+    let found = record.heterogeneity.as_ref().filter(|_| record.phases.len() == 1);
+    let (Some(found), Some(state)) = (found, phase.states.first()) else { return Vec::new() };
+    let state = clean(state);
+    let mut said = vec![format!(
         "Spread of {state} between tests: I² = {} % of the variance of typical estimates, H² = {}. Cochran's Q = {} with {} degrees \
          of freedom: {}.",
         plain(100.0 * found.i_squared, 3),
@@ -70,7 +71,17 @@ fn heterogeneity(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
         plain(found.q, 4),
         found.degrees_of_freedom,
         p_value(found.p_value)
-    ))
+    )];
+    if let Some([low, high]) = found.prediction95 {
+        let precision = FigurePrecision::of(high, Some(0.2 * (high - low)));
+        let law = match found.prediction_df {
+            Some(freedom) => format!(", by Student's t with {} degrees of freedom", plain(freedom, 3)),
+            None => String::new(),
+        };
+        let (low, high) = (precision.show(low), precision.show(high));
+        said.push(format!("The {state} of a new test is between {low} and {high} with probability 95 %{law}."));
+    }
+    said
 }
 
 /// Tests in groups: the mean of each state, and its standard deviation at each level, side by side.
@@ -97,7 +108,7 @@ fn by_level(record: &FitRecord, phase: &PhaseRecord, title: &dyn Fn(&str) -> Str
         "Initial state: mean, and standard deviation at each level (± {})",
         std_error(&record.std_errors)
     ));
-    let table = wide_table(&TextColumn::new("state", ColumnSide::Left, phase.states.clone()), &columns, page.width());
+    let table = page.wide_table(&TextColumn::new("state", ColumnSide::Left, phase.states.clone()), &columns);
     let body = table + &page.items(&few_tests::items(record, phase));
     page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
 }

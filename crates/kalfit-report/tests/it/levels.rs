@@ -211,11 +211,13 @@ fn the_population_of_the_report_varies_at_all_levels() {
         page.contains(r#""covariance":[[6,1],[1,6]]"#) || page.contains(r#""covariance":[[6.0,1.0],[1.0,6.0]]"#),
         "1 + 4 + 1"
     );
+    // a column of the first table, and of that of the initial state
+    assert!(page.matches(">chip to chip</th>").count() >= 2, "each level has a column");
     for sentence in [
-        "Mean, and spread within one chip",
-        "for those from lot to lot and from chip to chip.",
+        "Mean, and standard deviation at each level",
+        "Intervals of the standard deviations are in",
         "Covariance from lot to lot",
-        "Levels: 3 groups of `lot` and 9 groups of `chip`; 18 tests within them.",
+        "Levels: 3 groups of <code>lot</code> and 9 groups of <code>chip</code>; 18 tests within them.",
         "each group adds its own random contribution to the initial states of its tests",
     ] {
         assert!(page.contains(sentence), "the report does not say: {sentence}");
