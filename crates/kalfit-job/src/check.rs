@@ -153,7 +153,7 @@ fn examined(
     let infer::Examination { unidentified, explanations, observability, phases } = found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
     said.extend(shortage_notes(model, observability));
-    said.extend(grouping.map_or(Vec::new(), |grouping| factor_notes(model, grouping)));
+    said.extend(grouping.map_or(Vec::new(), |grouping| factor_notes(model, grouping, reductions)));
     notes.splice(0..0, said);
     let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
     let mut blind = UnidentifiedRecord::by_phase(model, unidentified, explanations).into_iter();

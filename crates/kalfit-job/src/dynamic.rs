@@ -75,7 +75,8 @@ pub(crate) fn fit(
     if let Some(groups) = groups {
         groups::add(job, &mut record, &groups, (model, &fit.alpha, &fit.estimate, &fit.reductions), work)?;
     }
-    record.add_levels((model, &reading.labels), fit.estimate.grouping().map(|grouping| &**grouping), &inference);
+    let grouping = fit.estimate.grouping().map(|grouping| &**grouping);
+    record.add_levels((model, &reading.labels), (grouping, &fit.reductions), &inference);
     let population = Population::from(&fit.estimate).together(model.dimension(), &model.slots());
     lost::add(&mut record, (model, &fit.alpha, &population), &fit.reductions, (&tests, &reading));
     if ends.len() > 1 {

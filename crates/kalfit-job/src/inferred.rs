@@ -39,7 +39,7 @@ pub(crate) fn record(
     let provenance = given.provenance(spec, work.seconds());
     let mut record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
     if let Some((grouping, labels)) = sorted.levels {
-        record.add_levels((&spec.model, labels), Some(grouping), &inference);
+        record.add_levels((&spec.model, labels), (Some(grouping), reductions), &inference);
     }
     if let Some(groups) = sorted.by {
         groups::add(job, &mut record, groups, (&spec.model, alpha, &estimate, reductions), work)?;

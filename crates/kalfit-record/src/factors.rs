@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use kalfit_algebra::symmetric::pair;
+use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::{CovarianceStructure, GroupLevel, Grouping, PhasedModel};
 
 /// Differences between levels below which a note says that their variance is only roughly known: with five, its relative
@@ -21,11 +23,11 @@ enum Relation {
 
 /// Notes on crossed factors, in sentences without a full stop: factors that do not cross, and variances that rest on few
 /// differences. Empty where the tests are not here.
-pub fn factor_notes(model: &PhasedModel, grouping: &Grouping) -> Vec<String> {
+pub fn factor_notes(model: &PhasedModel, grouping: &Grouping, reductions: &Reductions) -> Vec<String> {
     if grouping.tests() == 0 {
         return Vec::new();
     }
-    let mut notes = Vec::new();
+    let mut notes = nameless(model, grouping, reductions);
     let level_of = |at: usize| model.levels.len() - 1 - at;
     for (at, factor) in model.factors().iter().enumerate() {
         notes.extend(few(factor, grouping.groups(level_of(at)).len(), model.dimension()));
@@ -35,6 +37,35 @@ pub fn factor_notes(model: &PhasedModel, grouping: &Grouping) -> Vec<String> {
             let has_slots = [factor, other].iter().any(|level| !level.members.is_empty());
             if is_outermost && !has_slots {
                 notes.extend(relation_note(factor, other, relation(grouping, level_of(at), level_of(beside))));
+            }
+        }
+    }
+    notes
+}
+
+/// Slots without a name in tests that measure their states.
+fn nameless(model: &PhasedModel, grouping: &Grouping, reductions: &Reductions) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (at, factor) in model.factors().iter().enumerate() {
+        let level = model.levels.len() - 1 - at;
+        for member in &factor.members {
+            let is_nameless = |test: &ReductionRef<'_>| {
+                let Some(number) = grouping.number(test.test) else { return false };
+                let is_empty = grouping.members(number, level).all(|own| own.selection != Some(&member.selection));
+                let informs = |state: usize| test.factor[pair(state, 0)..][..=state].iter().any(|x| *x != 0.0);
+                is_empty && member.selection.pairs().iter().any(|&(state, _)| informs(state))
+            };
+            let tests: Vec<&str> = reductions.iter().filter(is_nameless).map(|test| test.test).collect();
+            if let Some(first) = tests.iter().min() {
+                let others = match tests.len() {
+                    1 => String::new(),
+                    count => format!(", and in {} other tests", count - 1),
+                };
+                notes.push(format!(
+                    "slot `{}` of `{}` has no name in test `{first}`{others}, but is measured there: what is in it is taken as \
+                     one without an effect of its own",
+                    member.slot, factor.name
+                ));
             }
         }
     }

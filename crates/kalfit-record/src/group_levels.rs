@@ -13,6 +13,7 @@ use crate::{
     UnidentifiedRecord, VectorRecord,
 };
 use kalfit_apply::predict::Initial;
+use kalfit_filter::reduce::Reductions;
 use kalfit_infer::{Estimand, GroupPosterior, Inference};
 use kalfit_model::{Grouping, Labels};
 use kalfit_model::{PhasedModel, Population, slot_of};
@@ -210,11 +211,11 @@ impl FitRecord {
     pub fn add_levels(
         &mut self,
         (model, labels): (&PhasedModel, &Labels),
-        grouping: Option<&Grouping>,
+        (grouping, reductions): (Option<&Grouping>, &Reductions),
         inference: &Inference,
     ) {
         let Some(grouping) = grouping else { return };
-        self.notes.extend(factor_notes(model, grouping));
+        self.notes.extend(factor_notes(model, grouping, reductions));
         let names = |level: usize, group: usize| -> Vec<String> {
             grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
         };

@@ -148,7 +148,7 @@ fn of_known_units(covariance_errors: bool) -> String {
         ),
         false => format!(
             "{start} Its error is that of the posterior together with that of the population's mean. The errors of the covariances are \
-             left out, as the results file does not say how units follow them: with few units the limits are too narrow."
+             left out, which the results do not hold: with few units the limits are too narrow."
         ),
     }
 }

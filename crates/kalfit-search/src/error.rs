@@ -66,6 +66,9 @@ impl DynamicError {
                 Some("give the rows of the test, which name its groups")
             }
             DynamicError::Grouping(GroupingError::NoName { .. }) => Some("give every row the names of its groups"),
+            DynamicError::Grouping(GroupingError::SlotVaries { .. }) => {
+                Some("what is in a slot stays there for a whole test; tests of other instruments have other ids")
+            }
             DynamicError::Grouping(GroupingError::Twice { .. }) => {
                 Some("one instrument is in one place at a time; a slot that is empty has an empty cell")
             }

@@ -24,6 +24,14 @@ pub enum PlanError {
         /// Largest number of tests that can be arranged.
         most: usize,
     },
+    /// Fewer levels of a factor than one test has slots for.
+    #[error("found a number of levels of {found} of a factor of which a test has {slots}, expected {slots} or more")]
+    TooFewLevels {
+        /// Number of levels.
+        found: usize,
+        /// Number of slots.
+        slots: usize,
+    },
     /// An element of the population that contradicts the model's structure.
     #[error("{} is {found} in the population, and the model makes it {expected}", words(element))]
     OffStructure {

@@ -200,6 +200,10 @@ fn arranged(
     if total == 0 || design.is_empty() || arrangement.factors.contains(&0) {
         return Err(PlanError::ZeroTests);
     }
+    let slotted = arrangement.factors.iter().zip(slots);
+    if let Some((&found, slots)) = slotted.into_iter().find(|(levels, slots)| **levels < slots.len()) {
+        return Err(PlanError::TooFewLevels { found, slots: slots.len() });
+    }
     if total > MOST_TESTS {
         return Err(PlanError::TooManyTests { found: total, most: MOST_TESTS });
     }

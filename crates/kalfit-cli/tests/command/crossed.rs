@@ -546,3 +546,59 @@ fn plans_of_more_stations_or_more_units_are_those_of_a_balanced_table() {
         close(&[of("std_dev", Some("unit")), of("std_dev", Some("station"))], &expected, 1e-8);
     }
 }
+
+#[test]
+fn slots_without_a_name_are_named() {
+    let folder = Folder::new(&[]);
+    folder.copy("../../examples/crossed/pairs.toml");
+    folder.copy("../../examples/crossed/pairs.csv");
+    let rows = std::fs::read_to_string(folder.path("pairs.csv")).expect("it is there");
+    let emptied = |run: &str, cells: &[usize]| {
+        let row = |line: &str| {
+            let mut all: Vec<&str> = line.split(',').collect();
+            if all[0] == run {
+                cells.iter().for_each(|&cell| all[cell] = "");
+            }
+            all.join(",") + "\n"
+        };
+        rows.lines().map(row).collect::<String>()
+    };
+    let said = |rows: String| {
+        folder.write("data.csv", rows.as_bytes());
+        let output = folder.run("check pairs.toml data.csv");
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        String::from_utf8_lossy(&output.stdout).split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    // a gyro whose serial number was forgotten
+    let forgotten = said(emptied("r06", &[3]));
+    assert!(forgotten.contains("lot `B` of `serial` has no name in test `r06`, but is measured there"), "{forgotten}");
+    // an empty slot, and two: the platform alone tells nothing of gyros
+    assert!(!said(emptied("r06", &[3, 5])).contains("has no name"));
+    assert!(!said(emptied("r06", &[2, 3, 4, 5])).contains("has no name"));
+    // in long form a name may stand on the rows of its slot alone
+    let sparse: String = rows
+        .lines()
+        .map(|line| {
+            line.strip_prefix("r07,5,").map_or(line.to_owned(), |rest| {
+                let cells: Vec<&str> = rest.split(',').collect();
+                format!("r07,5,,,{},{}", cells[2], cells[3])
+            }) + "\n"
+        })
+        .collect();
+    assert!(sparse.contains("r07,5,,,"), "{sparse}");
+    assert_eq!(said(sparse), said(rows.clone()));
+    // what is not in the results is no new level
+    fit(&folder, "pairs.toml pairs.csv --no-tests");
+    folder.write("design.csv", b"run,t,serial_a,serial_b\nx,0,G01,G99\n");
+    let predict = "predict pairs.toml --from fit.json --design design.csv --units known";
+    let output = folder.run(predict);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && text.contains("written without what is known of each unit"), "{text}");
+    fit(&folder, "pairs.toml pairs.csv");
+    let output = folder.run(predict);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(0) && text.contains("does not know serial `G99`"), "{}", shown(&output));
+    let output = folder.run("plan pairs.toml --from fit.json --design pairs.csv --groups serial=1 --tests 30");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(text.contains("found a number of levels of 1 of a factor of which a test has 2"), "{text}");
+}

@@ -23,6 +23,16 @@ pub enum GroupingError {
         /// Name of the level.
         level: String,
     },
+    /// A slot holds several groups in one test.
+    #[error("test `{test}` has more than one name in slot `{slot}` of `{level}`")]
+    SlotVaries {
+        /// Id of the test.
+        test: String,
+        /// Name of the factor.
+        level: String,
+        /// Name of the slot.
+        slot: String,
+    },
     /// One group stands in two slots of a test.
     #[error("test `{test}` has one name in two slots of `{level}`")]
     Twice {
@@ -87,19 +97,26 @@ pub fn groups_of(model: &PhasedModel, test: &str, evidence: &Evidence) -> Result
     for level in &model.levels {
         let before = names.len();
         let named = || level.name.clone();
-        for column in level.columns() {
+        for (slot, column) in level.columns().enumerate() {
             let name = |row: usize| rows.texts(row)[column];
-            let first = if rows.rows() == 0 { Label::MISSING } else { name(0) };
-            if !(1..rows.rows()).all(|row| name(row) == first) {
-                return Err(GroupingError::Varies { test: id(), level: named() });
+            // the rows of other slots need not name what is in this one
+            let may_lack = !level.members.is_empty();
+            let first =
+                (0..rows.rows()).map(name).find(|name| !(may_lack && name.is_missing())).unwrap_or(Label::MISSING);
+            let is_first = |row: usize| name(row) == first || (may_lack && name(row).is_missing());
+            if !(0..rows.rows()).all(is_first) {
+                return Err(match level.members.get(slot) {
+                    None => GroupingError::Varies { test: id(), level: named() },
+                    Some(member) => GroupingError::SlotVaries { test: id(), level: named(), slot: member.slot.clone() },
+                });
             }
             if names[before..].contains(&first) && !first.is_missing() {
                 return Err(GroupingError::Twice { test: id(), level: named() });
             }
             names.push(first);
         }
-        // a slot may be empty, not all of them
-        if names[before..].iter().all(|name| name.is_missing()) {
+        // a slot may be empty
+        if level.members.is_empty() && names[before..].iter().all(|name| name.is_missing()) {
             return Err(GroupingError::NoName { test: id(), level: named() });
         }
     }

@@ -56,6 +56,8 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
         profile: profiles.is_some(),
         covariance_errors: units.have_covariance_errors(),
     };
+    let mut warnings = truth.warnings;
+    warnings.extend(units.new_levels(&tests, units.grouping(&design, &tests)?.as_ref(), &reading.labels));
     let profiles = profiles.map(|profiles| profiles.limits((&predictor, &tests, &units, &reading), job, &mut work));
     let record = PredictedRecord::new(&design.model, source, job.limits);
     let mut task = PredictionTask {
@@ -82,7 +84,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
     let record = task.record;
     let back = pending.map_or(Ok(None), PendingFile::finish)?;
     let written = table.iter().filter_map(|table| table.target.name()).collect();
-    Ok(JobDone::new(PredictedModel { record, table: back }, truth.warnings, written))
+    Ok(JobDone::new(PredictedModel { record, table: back }, warnings, written))
 }
 
 /// The model for designs, at the values that were taken; `levels`: whether the designs are of known groups.

@@ -1,7 +1,7 @@
 //! Whose tests are predicted: of new units, or of units that a fit knows.
 
 use std::borrow::Cow;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use kalfit::predict::Initial;
 use kalfit::record::{KnownGroups, MetGroup, UnknownGroup};
@@ -43,6 +43,10 @@ impl UnitLaws {
                 Ok(UnitLaws::Known { units: record.unit_laws(model, population), level: level.name.clone(), path })
             }
             None => {
+                if record.groups.is_empty() {
+                    let why = "the results were written without what is known of each unit and level";
+                    return Err(Failure::NoUnits { why });
+                }
                 let (known, population) = (record.known_groups(model, population), population.clone());
                 Ok(UnitLaws::Crossed { known, model: Box::new(model.clone()), population, path })
             }
@@ -67,6 +71,30 @@ impl UnitLaws {
                 found.map_err(|error| Failure::Apply(Box::new(error.into())))
             }
         }
+    }
+
+    /// A warning of levels of factors that the fit does not know.
+    pub(super) fn new_levels(
+        &self,
+        tests: &[PhasedTest],
+        grouping: Option<&Grouping>,
+        labels: &Labels,
+    ) -> Option<String> {
+        let (UnitLaws::Crossed { known, model, path, .. }, Some(grouping)) = (self, grouping) else { return None };
+        let numbers = tests.iter().filter_map(|test| grouping.number(&test.id));
+        let all = numbers.flat_map(|number| met(model, (grouping, number), labels));
+        let new: BTreeSet<String> = all
+            .filter(|group| {
+                let level = &model.levels[group.level];
+                level.crossed && known.names(&level.name).all(|id| *id != group.id)
+            })
+            .map(|group| format!("{} `{}`", model.levels[group.level].name, group.id.join("/")))
+            .collect();
+        let listed: Vec<&str> = new.iter().take(MOST).map(String::as_str).collect();
+        let more = new.len().saturating_sub(MOST);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        (!new.is_empty())
+            .then(|| format!("`{path}` does not know {}{more}: they are taken as new levels", listed.join(", ")))
     }
 
     /// The law of a test's initial state.

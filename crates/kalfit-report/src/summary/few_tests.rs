@@ -2,7 +2,9 @@
 
 use kalfit::FitRecord;
 use kalfit::infer::FEW_UNITS;
-use kalfit::record::PhaseRecord;
+use kalfit::record::{LevelRecord, PhaseRecord};
+
+use super::levels;
 
 /// How often 95 % intervals of means by maximum likelihood hold, in percent, by number of tests: simulated ensembles of
 /// one to four states.
@@ -44,7 +46,8 @@ pub(crate) fn items(record: &FitRecord, phase: &PhaseRecord) -> Vec<String> {
 fn unrestricted(record: &FitRecord, phase: &PhaseRecord) -> Option<String> {
     let is_free = |(error, fixed): (&Option<f64>, &bool)| error.is_some() && !fixed;
     let free = phase.mean.std_error.iter().zip(&phase.mean.fixed).any(is_free);
-    let fewest = record.crossed.iter().map(|factor| &factor.level).min_by_key(|factor| factor.groups);
+    let varies = |level: &&LevelRecord| (0..level.states.len()).any(|i| !levels::is_held_at_zero(level, i));
+    let fewest = record.crossed.iter().map(|factor| &factor.level).filter(varies).min_by_key(|factor| factor.groups);
     let (count, what) = match record.levels.first().filter(|_| record.levels.len() > 1) {
         _ if let Some(factor) = fewest => (factor.groups, format!("levels of {}", factor.name)),
         Some(outermost) => (outermost.groups, format!("groups of {}", outermost.name)),

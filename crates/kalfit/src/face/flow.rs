@@ -56,7 +56,7 @@ fn fit_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress
         let reductions = ensemble.reduce(&alpha)?;
         let grouping = grouping(model, tests).map_err(DynamicError::from)?.map(Arc::new);
         let mut fit = fit_at_alpha((model, &alpha), (reductions, grouping.as_ref()), options, progress)?;
-        fit.record.add_levels((model, labels), grouping.as_deref(), &fit.inference);
+        fit.record.add_levels((model, labels), (grouping.as_deref(), &fit.reductions), &fit.inference);
         fit
     } else {
         let search = dynamic::Settings {
@@ -69,7 +69,8 @@ fn fit_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress
         let (inference, parameters) = dynamic::infer(model, (labels, tests), &found, options.choices, progress)?;
         let parts = DynamicParts { model, labels, fit: &found, inference: &inference, parameters: &parameters };
         let mut record = FitRecord::dynamic(&parts, Provenance::default());
-        record.add_levels((model, labels), found.estimate.grouping().map(|grouping| &**grouping), &inference);
+        let grouping = found.estimate.grouping().map(|grouping| &**grouping);
+        record.add_levels((model, labels), (grouping, &found.reductions), &inference);
         let DynamicFit { alpha, reductions, estimate, .. } = found;
         Fit { model: model.clone(), alpha, reductions, estimate, inference, record }
     };
