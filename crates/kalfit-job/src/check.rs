@@ -89,7 +89,7 @@ fn started(
     work: &mut JobWork<'_>,
 ) -> Result<(Vec<ParameterCounts>, CheckFindings), Failure> {
     let model = spec.model.shared();
-    let (tests, reading) = tests::read(spec, given, work)?;
+    let (tests, reading) = tests::read_with_spans(spec, given, work)?;
     let mut phases = no_counts(&spec.model);
     tests.iter().for_each(|test| add(&mut phases, test));
     let slots = Slots::in_phases(&spec.model, &reading.labels, &tests);

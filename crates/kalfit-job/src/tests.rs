@@ -24,6 +24,8 @@ struct Keep<'a, 'w> {
     model: &'a PhasedModel,
     tests: Vec<PhasedTest>,
     work: &'a mut JobWork<'w>,
+    /// Whether it is asked when the tests were.
+    wants_spans: bool,
 }
 
 impl TestSink for Keep<'_, '_> {
@@ -44,7 +46,7 @@ impl TestSink for Keep<'_, '_> {
     }
 
     fn wants_spans(&self) -> bool {
-        true
+        self.wants_spans
     }
 
     fn restart(&mut self) {
@@ -58,7 +60,16 @@ pub(crate) fn read(
     given: &CommandInputs,
     work: &mut JobWork<'_>,
 ) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
-    read_for(spec, &spec.model, given, work)
+    keep(spec, (&spec.model, false), given, work)
+}
+
+/// Reads all tests, and when each was.
+pub(crate) fn read_with_spans(
+    spec: &Spec,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
+    keep(spec, (&spec.model, true), given, work)
 }
 
 /// Reads all tests for a model that has the columns of the file's, and perhaps more texts.
@@ -68,10 +79,19 @@ pub(crate) fn read_for(
     given: &CommandInputs,
     work: &mut JobWork<'_>,
 ) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
+    keep(spec, (model, false), given, work)
+}
+
+fn keep(
+    spec: &Spec,
+    (model, wants_spans): (&PhasedModel, bool),
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
     if !given.is_rows() {
         return given.tests(spec, model, work);
     }
-    let mut keep = Keep { model, tests: Vec::new(), work };
+    let mut keep = Keep { model, tests: Vec::new(), work, wants_spans };
     let reading = kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut keep, &mut given.stdin());
     let reading = reading.map_err(|error| refused::failure(error, spec))?;
     Ok((keep.tests, reading))

@@ -61,7 +61,9 @@ fn prediction(phase: &PhaseRecord, law: Option<&FewTestsLawRecord>) -> Option<([
     }
     let (estimate, error) = (*mean.estimate.first()?, (*mean.std_error.first()?)?);
     let spread = *covariance.estimate.first()?.first()?;
-    (*covariance.std_error.first()?.first()?).filter(|_| spread > 0.0)?;
+    if spread <= 0.0 || covariance.std_error.first()?.first()?.is_none() {
+        return None;
+    }
     let single = |square: &SquareRecord| (square.size() == 1).then(|| square[0][0]);
     let freedom = law.and_then(|law| {
         let (variance, plain) = (single(&law.covariance)?, single(&law.mean_covariance_plain)?);

@@ -50,7 +50,8 @@ impl Arrangement {
         let mut before = 1;
         let mut met = Vec::new();
         for (&levels, &slots) in self.factors.iter().zip(slots) {
-            let turn = test + if before > 1 { test / before } else { 0 };
+            // the place among the turns of the factors before it, moved on by one after each of their rounds
+            let turn = test % before + test / before;
             let apart = 1 + (test / levels) % levels.saturating_sub(1).max(1);
             met.extend((0..slots.max(1)).map(|slot| (turn + slot * apart) % levels));
             before *= levels;
@@ -262,10 +263,14 @@ mod tests {
 
     #[test]
     fn tests_meet_the_levels_of_factors_in_turn() {
-        let arrangement = Arrangement { factors: vec![3, 3], groups: vec![9], tests: 1 };
-        let met: std::collections::BTreeSet<Vec<usize>> =
-            (0..9).map(|test| arrangement.levels(test, &[0, 0])).collect();
-        assert_eq!(met.len(), 9, "all pairs of levels meet");
+        for factors in [vec![3, 3], vec![4, 5], vec![6, 10], vec![5, 4], vec![2, 3, 4], vec![3, 3, 3]] {
+            let all: usize = factors.iter().product();
+            let slots = vec![0; factors.len()];
+            let arrangement = Arrangement { factors, groups: vec![all], tests: 1 };
+            let met: std::collections::BTreeSet<Vec<usize>> =
+                (0..all).map(|test| arrangement.levels(test, &slots)).collect();
+            assert_eq!(met.len(), all, "all levels meet all others: {arrangement:?}");
+        }
         // two members of one factor are never one level, and all pairs are tested together
         let pairs = Arrangement { factors: vec![5], groups: vec![], tests: 20 };
         let met: std::collections::BTreeSet<Vec<usize>> = (0..20).map(|test| pairs.levels(test, &[2])).collect();

@@ -22,13 +22,7 @@ pub struct KnownEffect {
 impl KnownEffect {
     /// EA of effects with these rows.
     fn on_states(&self, effects: &DMatrix<f64>) -> DMatrix<f64> {
-        let Some(selection) = &self.selection else { return effects.clone() };
-        let mut all = DMatrix::zeros(effects.nrows(), effects.ncols());
-        for &(state, effect) in selection.pairs() {
-            let mut row = all.row_mut(state);
-            row += effects.row(effect);
-        }
-        all
+        self.selection.as_ref().map_or_else(|| effects.clone(), |selection| selection.on_states(effects))
     }
 }
 
@@ -73,6 +67,7 @@ impl Initial {
             by_estimates: None,
             levels: std::iter::once(0).chain(blocks).collect(),
             slots,
+            all_slots: model.slots(),
             group_tests: 1,
         }
     }

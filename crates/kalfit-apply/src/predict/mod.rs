@@ -197,6 +197,8 @@ pub struct Initial {
     pub levels: Vec<usize>,
     /// How the effects of each level enter the state, in the slots whose groups are new.
     pub slots: LevelSlots,
+    /// The same in all slots, those whose groups are known among them.
+    pub all_slots: LevelSlots,
     /// Number of tests that a known group has; zero for a new group.
     pub group_tests: usize,
 }
@@ -215,6 +217,7 @@ impl Initial {
             by_coefficients: None,
             by_estimates: None,
             levels,
+            all_slots: slots.clone(),
             slots,
             group_tests: 0,
         }
@@ -247,6 +250,7 @@ impl Initial {
             by_estimates: None,
             levels: vec![0],
             slots: LevelSlots::default(),
+            all_slots: LevelSlots::default(),
             group_tests: 1,
         }
     }

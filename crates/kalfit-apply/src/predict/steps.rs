@@ -88,8 +88,9 @@ impl ValueSteps {
         let p = initial.mean.len();
         let own = value.sensitivity.rows(0, p);
         let is_seen = |known: &Estimand| match *known {
-            Estimand::Population(Estimated::Covariance(i, _)) => {
-                i >= p && own[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax()
+            Estimand::Population(Estimated::Covariance(i, _)) if i >= p => {
+                let of_effects = initial.all_slots.of_effects(i / p, own.as_slice());
+                of_effects.iter().any(|of_slot| of_slot[i % p].abs() > NEGLIGIBLE_SLOPE * own.amax())
             }
             _ => false,
         };

@@ -1,13 +1,11 @@
 //! The design of an ensemble: tests that give times, inputs and missing values, and the ids of the drawn tests.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 use crate::reduce::grouping;
 use crate::simulate::SimulateError;
 use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
-use kalfit_model::Selection;
 use kalfit_model::{Grouping, Member};
 
 /// The design of an ensemble: n ≥ 1 tests with distinct ids. Test j of the ensemble has the times, inputs and missing
@@ -23,8 +21,8 @@ pub struct Designs {
 pub(super) struct DrawnGroup<'a> {
     /// No two groups of the ensemble, in whatever rounds, have one number.
     pub(super) number: u64,
-    /// Which effects act on which states; `None` where each acts on its own.
-    pub(super) selection: Option<&'a Selection>,
+    /// The group among those of its level.
+    pub(super) member: Member<'a>,
 }
 
 impl Designs {
@@ -68,11 +66,7 @@ impl Designs {
         let of_level = |(level, first): (usize, usize)| {
             let number_of = |group: usize| round * total as u64 + (first + group) as u64;
             let members = grouping.members(number, level);
-            let drawn = |member: Member<'a>| DrawnGroup {
-                number: number_of(member.group),
-                selection: member.selection.map(Arc::as_ref),
-            };
-            members.map(drawn).collect()
+            members.map(|member| DrawnGroup { number: number_of(member.group), member }).collect()
         };
         Some(level_starts.into_iter().enumerate().map(of_level).collect())
     }

@@ -212,10 +212,11 @@ impl Simulator {
         let groups = designs.groups(place).ok_or(SimulateError::Ungrouped)?;
         let mut group_deviations = vec![0.0; self.levels[0].nrows()];
         for (root, groups) in self.levels.iter().zip(groups) {
-            for DrawnGroup { number, selection } in groups {
+            for DrawnGroup { number, member } in groups {
                 let mut random = ChaCha8Rng::seed_from_u64(self.seed);
                 random.set_stream(u64::MAX - number);
-                path::add_noise(root, &mut random, |effect, value| match selection {
+                // term by term, so that draws keep their bits
+                path::add_noise(root, &mut random, |effect, value| match member.selection {
                     None => group_deviations[effect] += value,
                     Some(selection) => {
                         let acts = selection.pairs().iter().filter(|pair| pair.1 == effect);

@@ -205,12 +205,7 @@ impl<'a> Draw<'a> {
             for member in grouping.members(number, level) {
                 let own = groups.entry((level, member.group));
                 let effects = &*own.or_insert_with(|| root * normal(root.ncols(), random));
-                match member.selection {
-                    None => sum += effects,
-                    Some(selection) => {
-                        selection.pairs().iter().for_each(|&(state, effect)| sum[state] += effects[effect]);
-                    }
-                }
+                member.add_effects(effects.as_slice(), sum.as_mut_slice());
             }
         }
         sum

@@ -4,9 +4,9 @@ mod profile;
 mod table;
 mod units;
 
-use kalfit::PhasedTest;
 use kalfit::predict::{Bounds, Initial, MeanLimits, Output, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
+use kalfit::{Grouping, PhasedTest};
 use kalfit_data::{DataReading, Input};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
 
@@ -57,7 +57,8 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
         covariance_errors: units.have_covariance_errors(),
     };
     let mut warnings = truth.warnings;
-    warnings.extend(units.new_levels(&tests, units.grouping(&design, &tests)?.as_ref(), &reading.labels));
+    let grouping = units.grouping(&design, &tests)?;
+    warnings.extend(units.new_levels(&tests, grouping.as_ref(), &reading.labels));
     let profiles = profiles.map(|profiles| profiles.limits((&predictor, &tests, &units, &reading), job, &mut work));
     let record = PredictedRecord::new(&design.model, source, job.limits);
     let mut task = PredictionTask {
@@ -66,6 +67,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
         outputs: &outputs,
         predictor: &predictor,
         units: &units,
+        grouping,
         reading: &reading,
         profiles: profiles.transpose()?,
         estimation,
@@ -123,6 +125,7 @@ struct PredictionTask<'a> {
     outputs: &'a [Vec<Output>],
     predictor: &'a Predictor,
     units: &'a UnitLaws,
+    grouping: Option<Grouping>,
     reading: &'a DataReading,
     /// Limits of all means by profile likelihood, in their order.
     profiles: Option<Vec<Option<[f64; 2]>>>,
@@ -139,7 +142,6 @@ impl PredictionTask<'_> {
         work: &mut JobWork<'_>,
         mut to: Option<(&OutputTable, &mut OutputTableWriter<'_>)>,
     ) -> Result<(), Failure> {
-        let grouping = self.units.grouping(self.design, tests)?;
         let known = self.estimation;
         let mut limits = self.profiles.take().map(Vec::into_iter);
         let mut done = 0;
@@ -147,7 +149,7 @@ impl PredictionTask<'_> {
             let next = tests::batch(tests, done, BATCH_ROWS);
             work.go_on()?;
             let own = &tests[done..next];
-            let initial = own.iter().map(|test| self.units.initial(test, grouping.as_ref(), &self.reading.labels));
+            let initial = own.iter().map(|test| self.units.initial(test, self.grouping.as_ref(), &self.reading.labels));
             let laws = initial.collect::<Result<Vec<_>, _>>()?;
             let initial: Vec<&Initial> = laws.iter().map(AsRef::as_ref).collect();
             let mut found =

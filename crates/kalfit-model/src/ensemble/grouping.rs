@@ -35,6 +35,16 @@ pub struct Member<'a> {
     pub selection: Option<&'a Arc<Selection>>,
 }
 
+impl Member<'_> {
+    /// Adds Eb of the effects b of the group to the states of the test.
+    pub fn add_effects(&self, effects: &[f64], states: &mut [f64]) {
+        match self.selection {
+            None => states.iter_mut().zip(effects).for_each(|(sum, effect)| *sum += effect),
+            Some(selection) => selection.pairs().iter().for_each(|&(state, effect)| states[state] += effects[effect]),
+        }
+    }
+}
+
 /// A group of tests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {

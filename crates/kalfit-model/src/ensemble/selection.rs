@@ -25,6 +25,16 @@ impl Selection {
     pub fn pairs(&self) -> &[(usize, usize)] {
         &self.0
     }
+
+    /// EA, for an A with a row for each effect, as many as there are states.
+    pub fn on_states(&self, effects: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut all = DMatrix::zeros(effects.nrows(), effects.ncols());
+        for &(state, effect) in &self.0 {
+            let mut row = all.row_mut(state);
+            row += effects.row(effect);
+        }
+        all
+    }
 }
 
 /// How the effects of each level enter a test: for each block of Σ, that of the tests first, E of each slot; none where
@@ -58,10 +68,7 @@ impl LevelSlots {
         let width = effects.ncols();
         let mut all = DMatrix::zeros(effects.nrows(), width * slots.len());
         for (s, slot) in slots.iter().enumerate() {
-            for &(state, effect) in slot.pairs() {
-                let mut row = all.view_mut((state, s * width), (1, width));
-                row += effects.row(effect);
-            }
+            all.columns_mut(s * width, width).copy_from(&slot.on_states(effects));
         }
         all
     }
@@ -72,15 +79,8 @@ impl LevelSlots {
         if slots.is_empty() {
             return covariance.clone();
         }
-        let mut sum = DMatrix::zeros(covariance.nrows(), covariance.ncols());
-        for slot in slots {
-            for &(state, effect) in slot.pairs() {
-                for &(column, beside) in slot.pairs() {
-                    sum[(state, column)] += covariance[(effect, beside)];
-                }
-            }
-        }
-        sum
+        let both = |slot: &Arc<Selection>| slot.on_states(&slot.on_states(covariance).transpose());
+        slots.iter().map(both).sum()
     }
 }
 

@@ -6,8 +6,9 @@ use maud::{Markup, html};
 use crate::html::math::equation;
 use crate::html::math::{self, EquationPart};
 use crate::html::section::PageSection;
+use crate::page::coded;
 use crate::summary::places;
-use crate::words::{clean, list, sentence};
+use crate::words::{clean, list};
 
 /// No more facts than this; the model file has them all.
 const MOST_FACTS: usize = 400;
@@ -20,7 +21,7 @@ pub(super) fn section(record: &FitRecord) -> Option<PageSection> {
         @if facts.is_empty() { p { "These results were written by an earlier version and do not describe the model." } }
         @else {
             h3 { "This model" }
-            ul.facts { @for fact in facts { li { (coded(fact)) } } }
+            ul.facts { @for fact in facts { li { (coded(&clean(fact))) } } }
             @if left > 0 { p { "… and " (left) " more facts." } }
         }
     };
@@ -79,14 +80,4 @@ fn equations(record: &FitRecord) -> Markup {
 fn factors(record: &FitRecord) -> String {
     let names: Vec<String> = record.crossed.iter().map(|factor| clean(&factor.level.name)).collect();
     list(&names, usize::MAX)
-}
-
-/// A fact with its names set as code: they stand between backticks.
-fn coded(fact: &str) -> Markup {
-    let fact = clean(fact);
-    let parts: Vec<&str> = fact.split('`').collect();
-    if parts.len().is_multiple_of(2) {
-        return html! { (sentence(&fact)) };
-    }
-    html! { @for (i, part) in parts.iter().enumerate() { @if i % 2 == 1 { code { (part) } } @else { (part) } } }
 }

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::levels::crossed::dense::rows_of;
 use crate::levels::crossed::layout::{Crossing, Part, TreeGroup, Unit};
 use crate::levels::crossed::respond::{PartAt, Response};
 use crate::levels::crossed::totals::{DataColumns, leaves};
@@ -96,15 +97,8 @@ impl Given<'_> {
             let mut posterior = self.group((&own.means[at], &weights.V), (&own.groups[at], &weights.N), alone);
             if self.with_effects && group.kind == 0 {
                 // E[A | b] = α - Γb
-                let covariance = |level: usize| {
-                    Rows::from_fn(here.p, here.p, |i, k| {
-                        let column = |e: usize| {
-                            let (met, effect) = (unit.met[e / here.p], e % here.p);
-                            here.dense.C[(met * here.p + effect, level * here.p + k)]
-                        };
-                        -(0..weights.gamma.ncols()).map(|e| weights.gamma[(i, e)] * column(e)).sum::<f64>()
-                    })
-                };
+                let all = weights.gamma.times(&rows_of(&here.dense.C, unit, here.p));
+                let covariance = |level: usize| Rows::from_fn(here.p, here.p, |i, k| -all[(i, level * here.p + k)]);
                 posterior.with_effects = self.covariances(here.part, 0..here.part.levels.len(), &covariance);
             }
             found.push(MemberId::Group(block, group.number, posterior));
