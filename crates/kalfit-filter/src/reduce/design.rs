@@ -478,6 +478,20 @@ impl Design {
             && same_bits(&self.noise[lines], &self.noise[appended_lines])
     }
 
+    /// True if the steps of two runs are equal, with one transition object for both.
+    pub(crate) fn same_steps(&self, run: usize, other: usize) -> bool {
+        let (one, two) = (self.stretch(run), self.stretch(other));
+        let same_transition = match (one.transition, two.transition) {
+            (Some(one), Some(two)) => Arc::ptr_eq(one, two),
+            (one, two) => one.is_none() && two.is_none(),
+        };
+        let same_line = |(a, b)| {
+            let ((states, h), (other_states, other_h)) = (self.terms(a), self.terms(b));
+            states == other_states && same_bits(h, other_h) && same_bits(&self.noise[a..=a], &self.noise[b..=b])
+        };
+        same_transition && one.lines.len() == two.lines.len() && one.lines.zip(two.lines).all(same_line)
+    }
+
     /// Memory in bytes, without the transitions.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.variance.len() + 6 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200

@@ -13,6 +13,8 @@ use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel;
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::schedule::{GainSchedule, GainsWork};
+use crate::reduce::segments::prefix::Prefix;
+use crate::reduce::segments::{SegmentFilter, SegmentedStretch, prefixes};
 use crate::reduce::settling::SteadyState;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
@@ -22,7 +24,15 @@ use crate::reduce::terminal::TerminalRoot;
 /// `states`: the model's state at each position in kernel order, given if the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let (p, r) = (design.frame.p, design.frame.r);
-    let mut gains = Isa::best().alone().run(DesignPass { design, work }).finish((r, p), design.rows())?;
+    let cut = if work.every_row || work.settling.off { Vec::new() } else { prefixes(design) };
+    let pass = |prefixes: &[Option<Arc<Prefix>>], work: &mut GainsWork| {
+        Isa::best().alone().run(DesignPass { design, prefixes, work })?.finish((r, p), design.rows())
+    };
+    let in_segments = if cut.iter().any(Option::is_some) { pass(&cut, work) } else { None };
+    let mut gains = match in_segments {
+        Some(gains) => gains,
+        None => pass(&[], work)?,
+    };
     if let Some(states) = states {
         gains.end = Some(Arc::new(TerminalRoot::of_covariance(states, &work.Psi, &work.P, r)?));
     }
@@ -32,15 +42,17 @@ pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work:
 /// The design pass over one design, as a kernel.
 struct DesignPass<'a> {
     design: &'a Design,
+    /// The prefix of each run that is cut into segments; empty where none is.
+    prefixes: &'a [Option<Arc<Prefix>>],
     work: &'a mut GainsWork,
 }
 
 impl Kernel for DesignPass<'_> {
-    type Output = GainSchedule;
+    type Output = Option<GainSchedule>;
 
     #[inline(always)]
-    fn run<T: Lanes>(self) -> GainSchedule {
-        let DesignPass { design, work } = self;
+    fn run<T: Lanes>(self) -> Option<GainSchedule> {
+        let DesignPass { design, prefixes, work } = self;
         let (p, r) = (design.frame.p, design.frame.r);
         work.settling.start(&design.frame.sensitivity);
         let mut filter = CovarianceFilter::<T>::new(&design.frame, Common(&design.variance));
@@ -51,15 +63,20 @@ impl Kernel for DesignPass<'_> {
             sums: InformationSums::new(p),
             many: Vec::new(),
             paths: Vec::new(),
+            segments: Vec::new(),
+            log_determinant: 0.0,
         };
-        for stretch in design.stretches() {
-            out.stretch(design, &stretch, (&mut filter, work));
+        for (run, stretch) in design.stretches().enumerate() {
+            match prefixes.get(run) {
+                Some(Some(prefix)) => out.segments(&stretch, prefix, (&mut filter, work))?,
+                _ => out.stretch(design, &stretch, (&mut filter, work)),
+            }
         }
         let mut sums = Vec::new();
         filter.sums.lanes(&mut sums);
         out.sums.take_lane(&sums, 0, T::COUNT);
         work.take(&filter);
-        out
+        Some(out)
     }
 }
 
@@ -77,6 +94,36 @@ impl GainsWork {
 }
 
 impl GainSchedule {
+    /// Filters a stretch of equal steps that is cut into segments; `None` where plain arithmetic would lose too many
+    /// digits.
+    #[inline(always)]
+    fn segments<T: Lanes>(
+        &mut self,
+        stretch: &Stretch<'_>,
+        prefix: &Arc<Prefix>,
+        (filter, work): (&mut CovarianceFilter<T>, &mut GainsWork),
+    ) -> Option<()> {
+        work.take(filter);
+        let mut J = vec![0.0; filter.sums.J.len()];
+        let before = SegmentFilter {
+            P: &mut work.P,
+            Psi: &mut work.Psi,
+            J: &mut J,
+            log_determinant: &mut self.log_determinant,
+        };
+        let sizes = (filter.K.len(), filter.T.len());
+        self.segments.push(SegmentedStretch::new(stretch.rows.clone(), prefix.clone(), sizes, before)?);
+        for (list, in_lanes) in [(&work.P, &mut filter.P), (&work.Psi, &mut filter.Psi)] {
+            for (x, lanes) in list.iter().zip(in_lanes) {
+                *lanes = T::splat(*x);
+            }
+        }
+        for (x, lanes) in J.iter().zip(&mut filter.sums.J) {
+            *lanes = *lanes + T::splat(*x);
+        }
+        Some(())
+    }
+
     /// Filters a stretch of equal steps: in full until P no longer changes, then for Ψ alone until Ψ no longer changes,
     /// then all remaining steps at once.
     #[inline(always)]

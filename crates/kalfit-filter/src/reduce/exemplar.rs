@@ -1,7 +1,6 @@
 //! Replicates → reductions: one replicate is evaluated and gives the gains for the data passes of all replicates, which
 //! run in lanes.
 
-use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::reduce::chunk_size::chunk_size;
@@ -38,7 +37,7 @@ impl Reducer {
         work: &mut Workspace,
         found: &mut ReducedTests,
     ) {
-        let (first, lanes) = (tests[set[0]], Isa::best().lanes());
+        let first = tests[set[0]];
         let exemplar = DesignExemplar::of(self, first, work);
         let some = |work: &mut Workspace, numbers: &[usize], found: &mut ReducedTests| {
             let exceptional = match &exemplar {
@@ -48,9 +47,9 @@ impl Reducer {
             exceptional.into_iter().for_each(|number| found.note(number, self.reduce_to_end(tests[number], work)));
         };
         let rows = set.len() * first.rows();
-        let size = match exemplar {
+        let size = match &exemplar {
             Some(_) if rows <= MAX_SERIAL_ROWS => set.len(),
-            Some(_) => chunk_size(set.len(), rows).next_multiple_of(lanes),
+            Some(exemplar) => chunk_size(set.len(), rows).next_multiple_of(exemplar.lanes()),
             None => chunk_size(set.len(), rows),
         };
         if set.len() <= size {
@@ -86,6 +85,11 @@ impl DesignExemplar {
         })
     }
 
+    /// Number of replicates that are reduced together.
+    fn lanes(&self) -> usize {
+        self.class.gains().as_ref().map_or(1, |gains| gains.lanes_of_tests().lanes())
+    }
+
     /// Reduces the replicates with indices `numbers`. Returns the indices of the replicates that must be reduced one by
     /// one.
     fn reduce(
@@ -97,6 +101,7 @@ impl DesignExemplar {
     ) -> Vec<usize> {
         let DesignExemplar { class, cells, start, inputs, .. } = self;
         let gains = class.gains().as_ref().expect("exemplars have gains");
+        work.block.set_width(gains.lanes_of_tests());
         let (lanes, mut exceptional) = (work.block.lanes(), Vec::new());
         work.block.clear(start.len(), inputs.len(), cells.len());
         (0..lanes).for_each(|lane| work.block.begin(lane, start, inputs));

@@ -1,10 +1,14 @@
 //! The gains of a design: everything that the data pass needs except the data.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, S, J")]
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::reduce::exact_design::ExactDesign;
 use crate::reduce::moment_path::MomentPath;
+use crate::reduce::segments::SegmentedStretch;
+use crate::reduce::segments::strands::MAX_STRANDS;
+use kalfit_lanes::{Isa, Width};
 use crate::reduce::terminal::{Terminal, TerminalRoot, TerminalState};
 
 /// The result of a design pass: everything that the data pass needs except the data.
@@ -34,6 +38,8 @@ pub struct Gains {
     pub(crate) end: Option<Arc<TerminalRoot>>,
     /// P and Ψ before equal steps, in order of rows, if a backward pass needs them.
     pub(crate) paths: Vec<MomentPath>,
+    /// The stretches that are cut into segments, in order of rows: their rows have no gains of their own.
+    pub(crate) segments: Vec<SegmentedStretch>,
 }
 
 /// Rows of equal steps, and the places of the gains and sensitivities of these rows. The first steps are stored one by
@@ -151,6 +157,19 @@ impl Gains {
         MomentPath::of(&self.paths, row)
     }
 
+    /// The segments of the stretch with these rows; `None` for a stretch that is not cut.
+    pub(crate) fn segmented(&self, rows: &Range<usize>) -> Option<&SegmentedStretch> {
+        let at = self.segments.binary_search_by_key(&rows.start, |stretch| stretch.rows.start).ok()?;
+        Some(&self.segments[at]).filter(|stretch| stretch.rows == *rows)
+    }
+
+    /// The width in which tests of this design are filtered: one at a time where the segments of one test fill the
+    /// lanes.
+    pub(crate) fn lanes_of_tests(&self) -> Width {
+        let fills_lanes = self.segments.iter().any(|stretch| stretch.segments() >= MAX_STRANDS);
+        if fills_lanes { Isa::best().alone().into() } else { Isa::best().into() }
+    }
+
     /// The last state of a test with this x̂_K, in kernel order; `None` if no last state was wanted.
     pub fn terminal(&self, states: &[usize], x: &[f64]) -> Option<Terminal> {
         Some(TerminalState::new(self.end.clone()?, states, x.iter().copied()).terminal())
@@ -164,6 +183,10 @@ impl Gains {
         let end = self.end.as_ref().map_or(0, |end| end.bytes());
         let stored_numbers = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         let paths: usize = self.paths.iter().map(MomentPath::bytes).sum();
-        8 * (stored_numbers + self.factor.len() + rotations) + end + paths + 200
+        let segments: usize = self.segments.iter().map(SegmentedStretch::bytes).sum();
+        let mut prefixes: Vec<_> = self.segments.iter().map(|stretch| &stretch.prefix).collect();
+        prefixes.dedup_by(|one, other| Arc::ptr_eq(one, other));
+        let prefixes: usize = prefixes.iter().map(|prefix| prefix.bytes()).sum();
+        8 * (stored_numbers + self.factor.len() + rotations) + end + paths + segments + prefixes + 200
     }
 }

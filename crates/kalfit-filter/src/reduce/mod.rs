@@ -88,6 +88,7 @@ mod replicates;
 mod root;
 mod scan;
 mod schedule;
+pub(crate) mod segments;
 mod semidefinite;
 mod settling;
 mod shared_store;

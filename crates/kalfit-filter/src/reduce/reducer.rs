@@ -16,6 +16,8 @@ use crate::reduce::lanes::innovations;
 use crate::reduce::outcome::outcome;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::schedule::GainsWork;
+use crate::reduce::segments::has_segments;
 use crate::reduce::shared_store::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::terminal::TerminalState;
@@ -39,6 +41,8 @@ const KEEP_ON_FIRST_USE_BYTES: usize = 256 << 10;
 pub struct Reducer {
     preparer: Preparer,
     classes: SharedStore<Design, Result<Gains, RootError>>,
+    /// Gains of every row of designs whose long stretches are cut into segments in `classes`.
+    row_classes: SharedStore<Design, Result<Gains, RootError>>,
     unfrozen: bool,
     /// Whether the last states of tests are requested.
     ends: bool,
@@ -142,6 +146,7 @@ impl Reducer {
         Reducer {
             preparer,
             classes,
+            row_classes: SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES),
             unfrozen: false,
             ends: false,
             paths: false,
@@ -220,8 +225,8 @@ impl Reducer {
         work
     }
 
-    /// Evaluates a test into the work space, and calls `pass` with the gains of the test's design, for further passes
-    /// over the data.
+    /// Evaluates a test into the work space, and calls `pass` with the gains of the test's design, for passes that see
+    /// every row.
     pub fn with_gains<T>(
         &self,
         test: &Test,
@@ -232,15 +237,36 @@ impl Reducer {
         self.with_prepared(test, work, pass)
     }
 
-    /// Calls `pass` with the gains of the test that was evaluated into the work space.
+    /// Calls `pass` with the gains of every row of the test that was evaluated into the work space.
     pub(crate) fn with_prepared<T>(
         &self,
         test: &Test,
         work: &mut Workspace,
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
+        let class = self.row_class(work);
+        self.with_class_gains((test, &class), work, pass)
+    }
+
+    /// As [`Reducer::with_gains`], with long stretches cut into segments, for passes that need sums over rows only.
+    pub(crate) fn with_segmented_gains<T>(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
+        self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
         let class = self.class(work.design.digest(), work, false);
-        let gains = self.valid_gains(&class, (test, &work.instances)).map_err(|fault| self.named(*fault, test))?;
+        self.with_class_gains((test, &class), work, pass)
+    }
+
+    fn with_class_gains<T>(
+        &self,
+        (test, class): (&Test, &DesignClass),
+        work: &mut Workspace,
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
+        let gains = self.valid_gains(class, (test, &work.instances)).map_err(|fault| self.named(*fault, test))?;
         Ok(pass(gains, work))
     }
 
@@ -352,17 +378,38 @@ impl Reducer {
     /// The design class of the test in the work space. `by_root`: the design is known to need square-root arrays.
     pub(crate) fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
         let Workspace { design, gains, .. } = work;
-        let states = self.ends.then_some(&*self.preparer.order.states);
         let make = |design: &Design| {
             self.count_design_run(digest);
-            if !by_root && let Some(gains) = information_gains(design, states, gains) {
-                return Ok(gains);
-            }
-            self.root_runs.fetch_add(1, Ordering::Relaxed);
-            root_gains(design, states, self.paths)
+            self.gains_of(design, gains, by_root)
         };
         let design = &*design;
         DesignClass(self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
+    }
+
+    /// The design class of the test in the work space, with gains of every row.
+    fn row_class(&self, work: &mut Workspace) -> DesignClass {
+        let digest = work.design.digest();
+        if !has_segments(&work.design) {
+            return self.class(digest, work, false);
+        }
+        let Workspace { design, gains, .. } = work;
+        let make = |design: &Design| {
+            gains.every_row = true;
+            let found = self.gains_of(design, gains, false);
+            gains.every_row = false;
+            found
+        };
+        let design = &*design;
+        DesignClass(self.row_classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
+    }
+
+    fn gains_of(&self, design: &Design, work: &mut GainsWork, by_root: bool) -> Result<Gains, RootError> {
+        let states = self.ends.then_some(&*self.preparer.order.states);
+        if !by_root && let Some(gains) = information_gains(design, states, work) {
+            return Ok(gains);
+        }
+        self.root_runs.fetch_add(1, Ordering::Relaxed);
+        root_gains(design, states, self.paths)
     }
 }
 

@@ -6,6 +6,7 @@ use std::ops::Range;
 use crate::reduce::design::Stretch;
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::moment_path::MomentPath;
+use crate::reduce::segments::SegmentedStretch;
 use crate::reduce::settling::SteadyStateMonitor;
 use crate::reduce::sums::InformationSums;
 
@@ -20,6 +21,9 @@ pub(crate) struct GainSchedule {
     /// (S, number of rows) for rows whose S is not in Π S of `sums`.
     pub(super) many: Vec<(f64, usize)>,
     pub(super) paths: Vec<MomentPath>,
+    pub(super) segments: Vec<SegmentedStretch>,
+    /// Σ log S over the rows of the segments.
+    pub(super) log_determinant: f64,
 }
 
 /// Work space of the design pass. P and Ψ are the moments at the last look for a steady state and, after the pass, the
@@ -31,6 +35,8 @@ pub(crate) struct GainsWork {
     pub(crate) settling: SteadyStateMonitor,
     /// Whether P and Ψ before equal steps are stored.
     pub(crate) keeps_paths: bool,
+    /// Whether gains of every row are needed, so that no stretch is cut into segments.
+    pub(crate) every_row: bool,
 }
 
 impl GainSchedule {
@@ -65,11 +71,12 @@ impl GainSchedule {
             sensitivities: self.sensitivities,
             pieces: self.pieces,
             factor,
-            log_determinant,
+            log_determinant: log_determinant + self.log_determinant,
             active,
             rotations: None,
             end: None,
             paths: self.paths,
+            segments: self.segments,
         })
     }
 }

@@ -69,6 +69,11 @@ impl InformationSums {
         (self.margin, self.least) = (at(entries + 2), at(entries + 3));
     }
 
+    /// Whether no update cancelled too many digits, and every S is positive.
+    pub(crate) fn is_accurate(&self) -> bool {
+        self.margin >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite())
+    }
+
     /// (R, Σ log S), or `None` where square-root arrays are needed. `many`: (S, number of rows) of further rows.
     pub(crate) fn root(&self, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
         self.root_in(Vec::new(), many)
@@ -76,8 +81,7 @@ impl InformationSums {
 
     /// As [`InformationSums::root`], with R written to the vector `root` in place of the old contents.
     pub(crate) fn root_in(&self, mut root: Vec<f64>, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
-        let is_accurate = self.margin >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
-        if !is_accurate || !self.mantissa.is_finite() {
+        if !self.is_accurate() || !self.mantissa.is_finite() {
             return None;
         }
         let p = (0..).find(|&p| pairs(p) == self.J.len()).expect("J is a packed triangle");

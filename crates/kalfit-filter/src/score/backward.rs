@@ -31,6 +31,7 @@
 
 mod adjoint;
 mod batch;
+mod cut;
 mod data_adjoint;
 mod design_adjoint;
 mod equal;
@@ -83,6 +84,13 @@ impl BackwardInput<'_> {
                         work.now.load(&work.marks[segment.mark..][..self.stride()], self.sizes());
                     }
                     pass(self, &segment, work);
+                    sink.measured(segment.steps.0, &work.measured)?;
+                    if self.design.stretch(segment.stretch).transition.is_some() {
+                        sink.moved(segment.steps.0, &work.moved)?;
+                    }
+                }
+                SegmentKind::Cut => {
+                    self.back_cut(&segment, work);
                     sink.measured(segment.steps.0, &work.measured)?;
                     if self.design.stretch(segment.stretch).transition.is_some() {
                         sink.moved(segment.steps.0, &work.moved)?;

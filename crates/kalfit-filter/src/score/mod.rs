@@ -16,13 +16,14 @@ mod levels;
 mod moments;
 mod phased;
 mod pullback;
+mod segments;
 mod smoother;
 #[cfg(test)]
 mod tests;
 
 use std::ops::Range;
 
-use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
+use crate::reduce::{Fault, Gains, ReduceError, Reducer, Workspace};
 use backward::{MeasurementAdjoint, Sink, TerminalAdjoint, TransitionAdjoint};
 use kalfit_model::Slots;
 use kalfit_model::Test;
@@ -90,11 +91,19 @@ impl<'a> Scorer<'a> {
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Gradient, ReduceError> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
-        let result = self.reducer.with_gains(test, work, |gains, work| {
+        let mut pass = |gains: &Gains, work: &mut Workspace| {
             let input = BackwardInput::of((work, gains), (moments, ending), self.wanted());
-            let done = input.backward(backward, &mut PullbackSink { adjoints, test, work });
-            adjoints.finish_after(done, test, work)
-        })?;
+            let mut sink = PullbackSink { adjoints, test, work };
+            if !input.sums_suffice(&mut sink) {
+                return None;
+            }
+            let done = input.backward(backward, &mut sink);
+            Some(adjoints.finish_after(done, test, work))
+        };
+        let result = match self.reducer.with_segmented_gains(test, work, &mut pass)? {
+            Some(result) => result,
+            None => self.reducer.with_prepared(test, work, pass)?.expect("no stretch is cut"),
+        };
         result.map_err(|fault| self.reducer.named(*fault, test))
     }
 }

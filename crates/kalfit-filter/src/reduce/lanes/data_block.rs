@@ -31,6 +31,11 @@ impl DataBlock {
         self.width
     }
 
+    /// Changes the width of the lanes; the block must be cleared before it is used again.
+    pub(crate) fn set_width(&mut self, width: Width) {
+        self.width = width;
+    }
+
     /// Number of lanes, which is the number of tests that the block can hold.
     pub(crate) fn lanes(&self) -> usize {
         self.width.lanes()

@@ -60,7 +60,7 @@ impl Kernel for BatchPasses<'_> {
         let sums = designs.covariance_pass::<T>(design);
         designs.finish(&sums, tests);
         let square = run_innovations::<T, _, _>(design, designs, data, scratch, &mut ());
-        least_squares::solve::<T, _>((&*designs, design), square, scratch);
+        least_squares::solve::<T, _>((&*designs, design), (square, data.values), scratch);
     }
 }
 

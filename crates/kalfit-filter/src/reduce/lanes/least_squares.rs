@@ -12,13 +12,20 @@ use crate::reduce::entries::Entries;
 use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::STEPS_PER_SUM;
+use crate::reduce::segments::TestsInLanes;
+use crate::reduce::segments::strands::StretchData;
 
 /// Number of independent partial sums, so that no addition waits for the previous one.
 const PARTIAL_SUMS: usize = 8;
 
 /// Replaces y by d and computes the residual sum of squares; for a test with large e'S⁻¹e by way of the best ξ.
+/// `values`: z - d of each row.
 #[inline(always)]
-pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, scratch: &mut DataWorkspace) {
+pub(super) fn solve<T: Lanes, N: Numbers<T>>(
+    (numbers, design): (&N, &Design),
+    (square, values): (T, &[f64]),
+    scratch: &mut DataWorkspace,
+) {
     let p = design.frame.p;
     solve_lower::<T, N>(numbers, p, &mut scratch.d);
     scratch.residual.resize(T::COUNT, 0.0);
@@ -28,7 +35,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), s
     if square.at_most(T::splat(REFINE_ABOVE)) || p == 0 {
         return;
     }
-    let residual = refine::<T, N>((numbers, design), p, scratch);
+    let residual = refine::<T, N>((numbers, design), values, scratch);
     for lane in 0..T::COUNT {
         let small = square.lane(lane) <= REFINE_ABOVE; // false for NaN, which is then refined
         if !small {
@@ -40,17 +47,38 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), s
 
 /// Computes d by way of the best ξ. Returns the residual sum of squares.
 #[inline(always)]
-fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, scratch: &mut DataWorkspace) -> T {
+fn refine<T: Lanes, N: Numbers<T>>(
+    (numbers, design): (&N, &Design),
+    values: &[f64],
+    scratch: &mut DataWorkspace,
+) -> T {
+    let p = design.frame.p;
     scratch.best.clone_from(&scratch.d);
     solve_upper::<T, N>(numbers, p, &mut scratch.best);
     scratch.refined.clear();
     scratch.refined.resize(p * T::COUNT, 0.0);
-    let (zero, rows) = (T::splat(0.0), scratch.e.len() / T::COUNT);
+    let zero = T::splat(0.0);
     let (mut best, mut sum) = (vec![zero; p], vec![zero; p]);
     for k in 0..p {
         best[k] = at(&scratch.best, k);
     }
-    let total = weighted_sums::<T, N>((numbers, design), 0..rows, &scratch.e, &best, &mut sum);
+    let (mut total, mut row, mut means) = (zero, 0, &*scratch.means);
+    for stretch in numbers.segments() {
+        total = total + weighted_sums::<T, N>((numbers, design), row..stretch.rows.start, &scratch.e, &best, &mut sum);
+        row = stretch.rows.end;
+        let (mut y, mut square) = (vec![0.0; p * T::COUNT], vec![0.0; T::COUNT]);
+        let values = &values[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
+        let data = StretchData { values, tests: T::COUNT };
+        let (own, others) = means.split_at(T::COUNT);
+        stretch.add_at(TestsInLanes { data, y: &mut y, square: &mut square }, &scratch.best, own);
+        means = others;
+        for (k, sum) in sum.iter_mut().enumerate() {
+            *sum = *sum + at(&y, k);
+        }
+        total = total + at(&square, 0);
+    }
+    let rows = scratch.e.len() / T::COUNT;
+    total = total + weighted_sums::<T, N>((numbers, design), row..rows, &scratch.e, &best, &mut sum);
     for (k, &sum) in sum.iter().enumerate() {
         put(&mut scratch.refined, k, sum);
     }

@@ -6,6 +6,7 @@ use kalfit_lanes::Lanes;
 use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Stretch, TransitionView};
 use crate::reduce::entries::Entries;
+use crate::reduce::segments::SegmentedStretch;
 
 /// The numbers that a pass reads from the designs of tests: shared by all lanes, or one per lane.
 pub(crate) trait Numbers<T> {
@@ -27,6 +28,11 @@ pub(crate) trait Numbers<T> {
     #[inline(always)]
     fn repeats(&self, _row: usize, end: usize) -> Repeats {
         Repeats { steady: end, end, width: 1 }
+    }
+    /// The stretches that are cut into segments.
+    #[inline(always)]
+    fn segments(&self) -> &[SegmentedStretch] {
+        &[]
     }
     /// True if long stretches can be scanned.
     const CAN_SCAN: bool = false;

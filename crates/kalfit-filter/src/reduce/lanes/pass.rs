@@ -15,6 +15,9 @@ use crate::reduce::lanes::least_squares;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::{STEPS_PER_SUM, Scan, scanned};
+use crate::reduce::segments::chain::ChainMeans;
+use crate::reduce::segments::strands::StretchData;
+use crate::reduce::segments::{SegmentedStretch, TestsInLanes};
 
 /// A design that all lanes share, and the gains of the design.
 struct SharedDesign<'a> {
@@ -82,6 +85,11 @@ impl<T: Lanes> Numbers<T> for SharedDesign<'_> {
         Repeats { steady: (piece.row + piece.moving() * width).clamp(row, end), end, width }
     }
 
+    #[inline(always)]
+    fn segments(&self) -> &[SegmentedStretch] {
+        &self.gains.segments
+    }
+
     const CAN_SCAN: bool = true;
 
     #[inline(always)]
@@ -110,7 +118,7 @@ impl Kernel for DataPass<'_> {
         let DataPass { design, gains, data, scratch } = self;
         let shared = SharedDesign::new(design, gains);
         let square = run_innovations::<T, _, _>(design, &shared, data, scratch, &mut ());
-        least_squares::solve::<T, _>((&shared, design), square, scratch);
+        least_squares::solve::<T, _>((&shared, design), (square, data.values), scratch);
     }
 }
 
@@ -196,8 +204,15 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
+    scratch.means.clear();
+    let mut segments = numbers.segments().iter().peekable();
     let (mut line, mut row, mut input, mut step) = (0, 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
+        if let Some(stretch) = segments.next_if(|stretch| stretch.rows == (row..run.rows)) {
+            state.segments(stretch, data.values, &mut scratch.means);
+            (line, row, step) = (run.lines, run.rows, run.steps);
+            continue;
+        }
         if N::CAN_SCAN && !L::OBSERVES_EVERY_ROW && design.is_long(run.count) {
             let (x, y) = (&mut *state.x, &mut *state.y);
             let stretch_scan = StretchScan {
@@ -282,6 +297,30 @@ impl<T: Lanes> MeanState<T> {
         let zero = T::splat(0.0);
         let zeros = || vec![zero; p];
         MeanState { x: vec![zero; n], work: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
+    }
+
+    /// Filters the rows of a stretch that is cut into segments.
+    #[inline(always)]
+    fn segments(&mut self, stretch: &SegmentedStretch, values: &[f64], means: &mut Vec<ChainMeans>) {
+        let in_lanes = |numbers: &mut [T], out: &mut Vec<f64>| {
+            out.clear();
+            out.resize(numbers.len() * T::COUNT, 0.0);
+            numbers.iter().enumerate().for_each(|(k, x)| put(out, k, *x));
+        };
+        let (mut x, mut y, mut square) = (Vec::new(), vec![0.0; self.y.len() * T::COUNT], vec![0.0; T::COUNT]);
+        in_lanes(&mut self.x, &mut x);
+        let data = StretchData {
+            values: &values[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT],
+            tests: T::COUNT,
+        };
+        stretch.filter_tests(TestsInLanes { data, y: &mut y, square: &mut square }, &mut x, means);
+        for (k, own) in self.x.iter_mut().enumerate() {
+            *own = at(&x, k);
+        }
+        for (k, own) in self.y.iter_mut().enumerate() {
+            *own = *own + at(&y, k);
+        }
+        self.square = self.square + at(&square, 0);
     }
 
     /// Adds the parts of the current block to the sums.

@@ -1,6 +1,7 @@
 //! Work space and results of the data pass.
 
 use crate::reduce::data::Outcome;
+use crate::reduce::segments::chain::ChainMeans;
 
 /// Work space and results of a data pass over a block or a single test. All numbers are in lanes.
 #[derive(Debug, Clone, Default)]
@@ -9,6 +10,8 @@ pub struct DataWorkspace {
     pub x: Vec<f64>,
     /// The innovations, in order.
     pub e: Vec<f64>,
+    /// Means of each test before the segments of each stretch that is cut into segments, stretch after stretch.
+    pub(super) means: Vec<ChainMeans>,
     /// y, then d.
     pub(super) d: Vec<f64>,
     /// The best ξ.

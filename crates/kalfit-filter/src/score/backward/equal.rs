@@ -148,7 +148,7 @@ pub(super) fn forward(input: &BackwardInput<'_>, segment: &Segment, work: &mut B
 
 /// Sets `out` to ΨC of the first `states` states, by rows.
 #[inline]
-fn psi_times_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
+pub(super) fn psi_times_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
     let (c, p) = (moments.columns, moments.mean.len());
     for i in 0..states {
         for k in 0..c {

@@ -21,6 +21,7 @@ impl BackwardInput<'_> {
         work.e.clear();
         work.e.reserve(self.values.len());
         work.marks.clear();
+        work.cut_stretches.clear();
         self.begin(&mut work.now);
         for at in 0..work.parts.len() {
             work.parts[at].mark = work.marks.len();
@@ -31,6 +32,7 @@ impl BackwardInput<'_> {
             match segment.kind {
                 SegmentKind::Steps => self.forward_steps(&segment, work),
                 SegmentKind::Equal(_) => equal::forward(self, &segment, work),
+                SegmentKind::Cut => self.forward_cut(&segment, work),
             }
         }
     }
@@ -47,7 +49,9 @@ impl BackwardInput<'_> {
             let long = stretch.count > most_single_steps;
             let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.accepts_sums(steps.0..steps.1));
             let segment_of = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
-            if let Some(pass) = long.then(summed).flatten() {
+            if self.gains.segmented(&stretch.rows).is_some() {
+                parts.push(segment_of(SegmentKind::Cut, steps, 0, input));
+            } else if let Some(pass) = long.then(summed).flatten() {
                 equal_segments += 1;
                 parts.push(segment_of(SegmentKind::Equal(pass), steps, 0, input));
             } else {

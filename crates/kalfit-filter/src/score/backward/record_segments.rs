@@ -1,6 +1,7 @@
 //! The segments of a record, for passes over other data: the steps of the record, and P of the filter before them.
 
-use crate::reduce::DesignStep;
+use crate::reduce::segments::SegmentedStretch;
+use crate::reduce::{DesignStep, Stretch};
 use crate::score::backward::equal::EqualStretch;
 use crate::score::backward::forward::FilterPosition;
 use crate::score::backward::input::BackwardInput;
@@ -13,6 +14,8 @@ pub(crate) enum RecordSegment<'a> {
     Steps(Vec<DesignStep<'a>>),
     /// Equal steps of one scalar measurement each.
     Equal(EqualStretch<'a>),
+    /// Equal steps that the design pass has cut into segments.
+    Cut(Stretch<'a>, &'a SegmentedStretch),
 }
 
 /// The segments of a record, and P (r × r) before each transition (`left`) and before each scalar measurement
@@ -33,6 +36,7 @@ impl<'a> BackwardInput<'a> {
             match segment.kind {
                 SegmentKind::Steps => self.push_steps(&segment, work, &mut segments),
                 SegmentKind::Equal(_) => self.push_equal(&segment, work, &mut segments),
+                SegmentKind::Cut => self.push_cut(&segment, &mut segments),
             }
         }
         segments
@@ -59,6 +63,14 @@ impl<'a> BackwardInput<'a> {
         before.resize(before.len() + usize::from(self.wanted.equation) * place, 0.0);
         segments.push(RecordSegment::Equal(EqualStretch::new(self, segment, work.cut.block)));
     }
+
+    fn push_cut(&'a self, segment: &Segment, segments: &mut RecordSegments<'a>) {
+        let (stretch, place) = (self.design.stretch(segment.stretch), self.design.frame.r.pow(2));
+        let RecordSegments { segments, left, before } = segments;
+        left.resize(left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
+        before.resize(before.len() + usize::from(self.wanted.equation) * place, 0.0);
+        segments.push(RecordSegment::Cut(stretch, self.cut_stretch(segment)));
+    }
 }
 
 impl BackwardWork {
@@ -67,7 +79,7 @@ impl BackwardWork {
     pub(crate) fn representative_steps(&self) -> impl Iterator<Item = usize> {
         self.parts.iter().flat_map(|segment| match segment.kind {
             SegmentKind::Steps => segment.steps.0..segment.steps.1,
-            SegmentKind::Equal(_) => segment.steps.0..segment.steps.0 + 1,
+            SegmentKind::Equal(_) | SegmentKind::Cut => segment.steps.0..segment.steps.0 + 1,
         })
     }
 }

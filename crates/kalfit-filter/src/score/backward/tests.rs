@@ -78,7 +78,7 @@ fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Desig
 
 /// Work space of a design pass that keeps P and Ψ.
 fn with_paths() -> GainsWork {
-    GainsWork { keeps_paths: true, ..GainsWork::default() }
+    GainsWork { keeps_paths: true, every_row: true, ..GainsWork::default() }
 }
 
 fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {

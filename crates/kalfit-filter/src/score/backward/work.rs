@@ -5,6 +5,7 @@ use crate::score::backward::adjoint::Adjoint;
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::sink::{MeasurementAdjoint, TransitionAdjoint};
+use crate::score::segments::ForwardStretch;
 
 /// Lengths by which records are cut into segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +30,7 @@ impl Default for SegmentLengths {
 }
 
 /// Stored results of the forward pass, and work space.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub struct BackwardWork {
     pub(super) cut: SegmentLengths,
     /// ē of each scalar measurement.
@@ -42,6 +43,8 @@ pub struct BackwardWork {
     /// (`before`).
     pub(super) left: Vec<f64>,
     pub(super) before: Vec<f64>,
+    /// The forward pass over each stretch that is cut into segments; `None` with data of zero.
+    pub(super) cut_stretches: Vec<Option<ForwardStretch>>,
     pub(super) now: FilteredMoments,
     pub(super) adjoint: Adjoint,
     pub(super) monitor: SteadyStateMonitor,
@@ -79,6 +82,8 @@ pub(super) enum SegmentKind {
     Steps,
     /// As a whole stretch of equal steps, whose adjoints are summed.
     Equal(SegmentPass),
+    /// As a whole stretch that the design pass has cut into segments, whose adjoints are summed.
+    Cut,
 }
 
 impl Segment {

@@ -10,12 +10,15 @@
 use kalfit_lanes::{Kernel, Lanes, MAX_LANES};
 
 use crate::reduce::{
-    Common, Design, DesignStep, Gains, Scan, Transition, advance, at, correct_mean, innovation, with_states,
+    Common, Design, DesignStep, Gains, Scan, Stretch, Transition, advance, at, correct_mean, innovation, with_states,
 };
 use crate::score::backward::{
     AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, advance_transposed, smoothing_error,
 };
+use crate::reduce::segments::SegmentedStretch;
+use crate::reduce::segments::strands::StretchData;
 use crate::score::classes::equal::EqualDataBackward;
+use crate::score::segments::{DataAdjoints, ForwardStretch};
 use crate::score::pullback::{PullbackFactors, ResponseEntry};
 use kalfit_model::Test;
 
@@ -89,6 +92,8 @@ struct DataBackwardState<T> {
     /// For each segment of equal steps: x̄ of all states before it, then x̄ of the moving states at the start of each
     /// block.
     marks: Vec<T>,
+    /// The forward pass over each stretch that is cut into segments.
+    cut: Vec<ForwardStretch>,
     /// Σ factor × adjoint, by slot.
     sums: Vec<T>,
 }
@@ -122,6 +127,7 @@ impl<T: Lanes> DataBackwardState<T> {
             left: vec![zero; wanted(shared.wanted.motion, response.moves.len())],
             before: vec![zero; wanted(shared.wanted.equation, response.rows.len())],
             marks: Vec::new(),
+            cut: Vec::new(),
             sums: vec![zero; response.slots.len()],
         }
     }
@@ -151,6 +157,7 @@ impl<T: Lanes> DataBackwardState<T> {
             }
         }
         self.marks.clear();
+        self.cut.clear();
         let (mut at, mut input) = (Cursor::default(), 0);
         for segment in &shared.record.segments {
             match segment {
@@ -164,8 +171,43 @@ impl<T: Lanes> DataBackwardState<T> {
                     at.row += 1;
                     at.transition += usize::from(equal.stretch.transition.is_some());
                 }
+                RecordSegment::Cut(stretch, segments) => {
+                    self.cut_forward(segments);
+                    at.row += 1;
+                    at.transition += usize::from(stretch.transition.is_some());
+                }
             }
         }
+    }
+
+    /// The forward pass over a stretch that is cut into segments.
+    #[inline(always)]
+    fn cut_forward(&mut self, segments: &SegmentedStretch) {
+        let mut x = self.of_states(segments);
+        self.cut.push(ForwardStretch::new(segments, self.cut_data(segments), &mut x));
+        self.set_states(segments, &x);
+    }
+
+    /// x̄ or r of the states of segments, in lanes.
+    #[inline(always)]
+    fn of_states(&self, segments: &SegmentedStretch) -> Vec<f64> {
+        let mut numbers = vec![0.0; segments.prefix.size() * T::COUNT];
+        for (numbers, &state) in numbers.chunks_exact_mut(T::COUNT).zip(&segments.prefix.states) {
+            self.x[state].store(numbers);
+        }
+        numbers
+    }
+
+    #[inline(always)]
+    fn set_states(&mut self, segments: &SegmentedStretch, numbers: &[f64]) {
+        for (k, &state) in segments.prefix.states.iter().enumerate() {
+            self.x[state] = at(numbers, k);
+        }
+    }
+
+    #[inline(always)]
+    fn cut_data(&self, segments: &SegmentedStretch) -> StretchData<'_> {
+        StretchData { values: &self.e[segments.rows.start * T::COUNT..segments.rows.end * T::COUNT], tests: T::COUNT }
     }
 
     #[inline(always)]
@@ -232,6 +274,11 @@ impl<T: Lanes> DataBackwardState<T> {
                     at.transition -= usize::from(equal.stretch.transition.is_some());
                     self.equal_back(shared, equal, at);
                 }
+                RecordSegment::Cut(stretch, segments) => {
+                    at.row -= 1;
+                    at.transition -= usize::from(stretch.transition.is_some());
+                    self.cut_back(shared, (stretch, segments), at);
+                }
             }
         }
         for entry in response.entries(&response.mean) {
@@ -251,6 +298,38 @@ impl<T: Lanes> DataBackwardState<T> {
         if let Some(transition) = step.transition {
             at.transition -= 1;
             self.moved(shared, transition, at.transition);
+        }
+    }
+
+    /// The backward pass over a stretch that is cut into segments.
+    #[inline(always)]
+    fn cut_back(&mut self, shared: &ClassShared<'_>, (stretch, segments): (&Stretch<'_>, &SegmentedStretch), at: Cursor) {
+        let forward = self.cut.pop().expect("the forward pass has stored the stretch");
+        let mut r = self.of_states(segments);
+        let found = forward.back(segments, (self.cut_data(segments), shared.wanted), &mut r);
+        self.set_states(segments, &r);
+        let (response, half, prefix) = (shared.response, T::splat(0.5), &*segments.prefix);
+        let lanes = |number: &dyn Fn(&DataAdjoints) -> f64| {
+            let mut lanes = [0.0; MAX_LANES];
+            lanes.iter_mut().zip(&found).for_each(|(lane, own)| *lane = number(own));
+            T::load(&lanes)
+        };
+        let place = |state: usize| prefix.place(state).expect("the states of a segment include those of its steps");
+        let own = &response.rows[at.row];
+        self.add_span(response, own.noise, half * lanes(&DataAdjoints::uu));
+        self.add_span(response, own.value, -lanes(&DataAdjoints::u));
+        for entry in response.entries(&own.h) {
+            self.add(response, entry, lanes(&|own| own.h(place(entry.i))));
+        }
+        let Some(transition) = stretch.transition else { return };
+        let (own, pattern) = (&response.moves[at.transition], &transition.pattern);
+        for entry in response.entries(&own.q) {
+            let both = lanes(&|own| own.rr(entry.i, entry.j));
+            self.add(response, entry, if entry.i == entry.j { half * both } else { both });
+        }
+        for entry in response.entries(&own.phi) {
+            let i = place(pattern.moved[entry.i].state as usize);
+            self.add(response, entry, lanes(&|own| own.phi(i, place(entry.j))));
         }
     }
 

@@ -14,7 +14,6 @@ mod classed;
 mod data_backward;
 mod equal;
 
-use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::reduce::{Design, Fault, Gains, ReduceError, Workspace};
@@ -50,10 +49,13 @@ impl Scorer<'_> {
         let wanted = self.wanted();
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let first = tests[0].test;
-        let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {
+        let found: Result<_, Box<Fault>> = self.reducer.with_segmented_gains(first, work, |gains, work| {
             let cells = self.reducer.preparer().measured_cells(first, work)?;
             let zero_data = ZeroData::new(work, shared);
             let input = zero_data.input((&work.design, gains), wanted);
+            if !input.sums_suffice(&mut PullbackSink { adjoints, test: first, work }) {
+                return Ok(None);
+            }
             input.cut(backward, &mut PullbackSink { adjoints, test: first, work });
             let representative_steps: Vec<usize> = backward.representative_steps().collect();
             let pays_off =
@@ -135,11 +137,12 @@ impl ZeroData {
 fn data_parts(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient> {
     let slots = &shared.response.slots;
     let share = |tests: &[ClassMember<'_>]| {
-        let found = Isa::best().run(DataBackward { shared, tests });
+        let found = shared.gains.lanes_of_tests().run(DataBackward { shared, tests });
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };
-    let many = if shared.design.rows() < classed::MIN_LONG_ROWS { TESTS_PER_TASK } else { Isa::best().lanes() };
+    let lanes = shared.gains.lanes_of_tests().lanes();
+    let many = if shared.design.rows() < classed::MIN_LONG_ROWS { TESTS_PER_TASK } else { lanes };
     match tests.len() <= many {
         true => share(tests),
         false => tests.par_chunks(many).flat_map_iter(share).collect(),

@@ -1,0 +1,68 @@
+//! Long stretches of equal steps as ensembles of segments.
+//!
+//! A stretch of equal steps is cut into segments of L rows, each of which starts from a *known* state: P = 0 and Ψ = I.
+//! All segments then have one covariance filter, that of a [`Prefix`] of L rows, whatever the records are; the data run
+//! many segments in lanes, on all threads ([`strands`]); and a chain joins the segments exactly ([`stretch`] for
+//! covariances, [`chain`] for means), as theory §7 joins phases.
+//!
+//! ```text
+//! steps ── Prefix ──> K, T, S, P, Ψ, J of rows 1..L          once for equal steps
+//! P, Ψ before the stretch ── SegmentedStretch ──> P, B, Ψ before each segment, J of ξ          once for each design
+//! data ── strands ──> y, e'e/S and the last state of each segment ── chain ──> x̂ of each segment, y of ξ
+//! ```
+
+pub(crate) mod chain;
+mod lanes;
+pub(crate) mod prefix;
+pub(crate) mod square;
+pub(crate) mod strands;
+pub(crate) mod stretch;
+
+use crate::reduce::design::Design;
+use prefix::{Prefix, Prefixes};
+
+pub(crate) use lanes::TestsInLanes;
+pub(crate) use stretch::{SegmentFilter, SegmentedStretch};
+
+use std::sync::Arc;
+
+/// Largest number of states of a segment, for which kernels of fixed size exist.
+pub(crate) const MAX_STATES: usize = 6;
+
+/// Number of equal steps up to which a stretch is not cut into segments: so many rows cost as little step by step.
+const MAX_UNCUT_STEPS: usize = 256;
+
+/// Largest number of rows of a segment.
+const MAX_ROWS: usize = 4096;
+
+/// A row of a prefix costs about as much as three rows of data in lanes, and a link about as much as this number of rows of a
+/// prefix: the number of rows of a segment is the root of the total number times this.
+const ROWS_PER_LINK: usize = 3;
+
+/// Number of rows of the segments of `rows` equal steps.
+fn segment_rows(rows: usize) -> usize {
+    (ROWS_PER_LINK * rows).isqrt().clamp(MAX_UNCUT_STEPS, MAX_ROWS).min(rows)
+}
+
+/// Whether a run of a design is cut into segments, if its steps allow that.
+fn is_cut(design: &Design, run: usize) -> bool {
+    let count = design.runs[run].count;
+    count > MAX_UNCUT_STEPS && design.is_long(count)
+}
+
+/// Whether some runs of a design may be cut into segments.
+pub(crate) fn has_segments(design: &Design) -> bool {
+    (0..design.runs.len()).any(|run| is_cut(design, run))
+}
+
+/// The prefix of each run of a design that is cut into segments; `None` for all other runs.
+pub(crate) fn prefixes(design: &Design) -> Vec<Option<Arc<Prefix>>> {
+    let runs = 0..design.runs.len();
+    let mut known = Prefixes::default();
+    let prefix = |run: usize| {
+        let alike = |other: &usize| is_cut(design, *other) && design.same_steps(run, *other);
+        let rows = || segment_rows(runs.clone().filter(alike).map(|other| design.runs[other].count).sum());
+        is_cut(design, run).then(|| known.of(design, run, rows)).flatten()
+    };
+    runs.clone().map(prefix).collect()
+}
