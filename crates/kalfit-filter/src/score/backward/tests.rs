@@ -521,6 +521,38 @@ fn frozen_equals_unfrozen() {
 }
 
 #[test]
+fn segments_are_the_steps_one_by_one() {
+    let (design, data) = long();
+    let ending = TerminalAdjoint {
+        r: vec![0.3, -0.5, 0.2, 0.7],
+        rho: vec![0.2, -0.1, 0.4, 0.3, -0.6, 0.1, 0.5, 0.2],
+        N: vec![0.9, 0.2, 0.2, 0.6],
+    };
+    let of = |every_row: bool, ending: Option<&TerminalAdjoint>, wanted: AdjointsWanted| {
+        let mut work = GainsWork { every_row, ..with_paths() };
+        work.settling.off = every_row;
+        let gains = information_gains(&design, None, &mut work).expect("well conditioned");
+        let reduction = reduction_by(&gains, &design, &data);
+        let moments = moments(reduction.view(), &law());
+        let (mut totals, mut back) = (Totals::new(&design, !every_row), BackwardWork::default());
+        back.set_unfrozen(every_row);
+        let Ok(()) = run((&design, &data, &gains), (&moments, ending), wanted).backward(&mut back, &mut totals);
+        (gains.segments.len(), reduction, totals)
+    };
+    for ending in [None, Some(&ending)] {
+        for wanted in [ALL, AdjointsWanted::default(), AdjointsWanted { motion: true, equation: false }] {
+            let ((cut, found, totals), (none, expected, each)) = (of(false, ending, wanted), of(true, ending, wanted));
+            assert_eq!((cut, none), (2, 0), "of three long stretches one has two measurements a step");
+            near::relative("c", found.constant, expected.constant, 1e-12);
+            for (list, other) in [(&found.data, &expected.data), (&found.factor, &expected.factor)] {
+                list.iter().zip(other).for_each(|(x, y)| near::absolute("d, R", *x, *y, 1e-10 * near::largest(other)));
+            }
+            totals.check(&each);
+        }
+    }
+}
+
+#[test]
 fn without_paths_equal_steps_go_one_by_one() {
     let (design, data) = long();
     let mut gains = information_gains(&design, None, &mut with_paths()).expect("well conditioned");
