@@ -14,6 +14,7 @@ use crate::reduce::kernel;
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::schedule::{GainSchedule, GainsWork};
 use crate::reduce::segments::prefix::Prefix;
+use crate::reduce::segments::rows::RowGains;
 use crate::reduce::segments::{SegmentFilter, SegmentedStretch, prefixes};
 use crate::reduce::settling::SteadyState;
 use crate::reduce::sums::InformationSums;
@@ -24,7 +25,7 @@ use crate::reduce::terminal::TerminalRoot;
 /// `states`: the model's state at each position in kernel order, given if the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let (p, r) = (design.frame.p, design.frame.r);
-    let cut = if work.every_row || work.settling.off { Vec::new() } else { prefixes(design) };
+    let cut = if work.settling.off { Vec::new() } else { prefixes(design) };
     let pass = |prefixes: &[Option<Arc<Prefix>>], work: &mut GainsWork| {
         Isa::best().alone().run(DesignPass { design, prefixes, work })?.finish((r, p), design.rows())
     };
@@ -68,7 +69,7 @@ impl Kernel for DesignPass<'_> {
         };
         for (run, stretch) in design.stretches().enumerate() {
             match prefixes.get(run) {
-                Some(Some(prefix)) => out.segments(&stretch, prefix, (&mut filter, work))?,
+                Some(Some(prefix)) => out.segments((design, &stretch), prefix, (&mut filter, work))?,
                 _ => out.stretch(design, &stretch, (&mut filter, work)),
             }
         }
@@ -99,20 +100,21 @@ impl GainSchedule {
     #[inline(always)]
     fn segments<T: Lanes>(
         &mut self,
-        stretch: &Stretch<'_>,
+        (design, stretch): (&Design, &Stretch<'_>),
         prefix: &Arc<Prefix>,
         (filter, work): (&mut CovarianceFilter<T>, &mut GainsWork),
     ) -> Option<()> {
         work.take(filter);
         let mut J = vec![0.0; filter.sums.J.len()];
-        let before = SegmentFilter {
-            P: &mut work.P,
-            Psi: &mut work.Psi,
-            J: &mut J,
-            log_determinant: &mut self.log_determinant,
-        };
+        let before =
+            SegmentFilter { P: &mut work.P, Psi: &mut work.Psi, J: &mut J, log_determinant: &mut self.log_determinant };
         let sizes = (filter.K.len(), filter.T.len());
-        self.segments.push(SegmentedStretch::new(stretch.rows.clone(), prefix.clone(), sizes, before)?);
+        let cut = SegmentedStretch::new(stretch.rows.clone(), prefix.clone(), sizes, before)?;
+        if work.every_row {
+            self.rows(stretch, sizes, cut.row_gains(design, stretch)?);
+        } else {
+            self.segments.push(cut);
+        }
         for (list, in_lanes) in [(&work.P, &mut filter.P), (&work.Psi, &mut filter.Psi)] {
             for (x, lanes) in list.iter().zip(in_lanes) {
                 *lanes = T::splat(*x);
@@ -122,6 +124,21 @@ impl GainSchedule {
             *lanes = *lanes + T::splat(*x);
         }
         Some(())
+    }
+
+    /// Stores the gains of the rows of a stretch; r and p are the numbers of entries of K and T.
+    fn rows(&mut self, stretch: &Stretch<'_>, (r, p): (usize, usize), found: RowGains) {
+        let piece = GainSpan {
+            row: stretch.rows.start,
+            width: 1,
+            gain: self.gains.len() / (1 + r),
+            gain_steps: found.rows,
+            sensitivity: self.sensitivities.len() / p.max(1),
+            sensitivity_steps: found.rows,
+        };
+        self.gains.extend(found.gains);
+        self.sensitivities.extend(found.sensitivities);
+        self.note(piece, stretch);
     }
 
     /// Filters a stretch of equal steps: in full until P no longer changes, then for Ψ alone until Ψ no longer changes,

@@ -8,8 +8,8 @@ use crate::reduce::exact_design::ExactDesign;
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::segments::SegmentedStretch;
 use crate::reduce::segments::strands::MAX_STRANDS;
-use kalfit_lanes::{Isa, Width};
 use crate::reduce::terminal::{Terminal, TerminalRoot, TerminalState};
+use kalfit_lanes::{Isa, Width};
 
 /// The result of a design pass: everything that the data pass needs except the data.
 #[derive(Debug, Clone)]

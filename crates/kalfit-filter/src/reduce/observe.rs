@@ -238,19 +238,26 @@ impl Meters {
             self.meters.iter().zip(&is_taken).map(|(meter, &taken)| (meter.column, taken)).collect();
         let taken: Vec<(usize, f64)> =
             entries.iter().zip(&*out.constants).map(|(e, &d)| (self.meters[e.meter].column, d)).collect();
-        let mut appended = 0;
-        while appended < most {
-            let numbers = test.numbers(first + appended);
-            let continues = |&(column, taken): &(usize, bool)| match numbers[column] {
+        let width = test.widths().0;
+        let rows = test.all_numbers()[first * width..].chunks_exact(width).take(most);
+        let continues = |numbers: &[f64]| {
+            let as_before = |&(column, taken): &(usize, bool)| match numbers[column] {
                 z if taken => z.is_finite(),
                 z => z.is_nan(),
             };
-            if !columns.iter().all(continues) {
-                break;
+            columns.iter().all(as_before)
+        };
+        let appended = rows.clone().take_while(|numbers| continues(numbers)).count();
+        let rows = rows.take(appended);
+        if let [(column, constant)] = taken[..] {
+            // one value a row, for which the length of the list is known
+            out.data.values.extend(rows.clone().map(|numbers| numbers[column] - constant));
+            out.data.sizes.extend(rows.map(|numbers| numbers[column].abs() + constant.abs()));
+        } else {
+            for numbers in rows {
+                let taken = taken.iter().map(|&(column, constant)| (numbers[column], constant));
+                taken.for_each(|(z, constant)| out.data.take(z, constant));
             }
-            out.data.values.extend(taken.iter().map(|&(column, constant)| numbers[column] - constant));
-            out.data.sizes.extend(taken.iter().map(|&(column, constant)| numbers[column].abs() + constant.abs()));
-            appended += 1;
         }
         out.instances.repeat(appended, 1);
         appended

@@ -63,7 +63,8 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
         active: 0,
         rotations: None,
         end: None,
-        paths: Vec::new(), segments: Vec::new(),
+        paths: Vec::new(),
+        segments: Vec::new(),
     };
     let mut rotations =
         FactorRotations { row_rotations: Vec::with_capacity(p * design.rows()), ..FactorRotations::default() };

@@ -127,7 +127,7 @@ impl BackwardInput<'_> {
                 rows = rows.saturating_sub(step.rows.len());
                 let first = rows;
                 let before = |place: usize| FilterSnapshot::new(&before[seen(before, first + place)], self.sizes());
-                self.measured_back(&step, e, before, (adjoint, measured));
+                self.measured_back(&step, e.values(), before, (adjoint, measured));
                 sink.measured(k, measured)?;
             }
             if let Some(transition) = step.transition {

@@ -47,11 +47,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>(
 
 /// Computes d by way of the best ξ. Returns the residual sum of squares.
 #[inline(always)]
-fn refine<T: Lanes, N: Numbers<T>>(
-    (numbers, design): (&N, &Design),
-    values: &[f64],
-    scratch: &mut DataWorkspace,
-) -> T {
+fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), values: &[f64], scratch: &mut DataWorkspace) -> T {
     let p = design.frame.p;
     scratch.best.clone_from(&scratch.d);
     solve_upper::<T, N>(numbers, p, &mut scratch.best);

@@ -198,6 +198,10 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     observer: &mut L,
 ) -> T {
     let frame = &*design.frame;
+    if scratch.e.capacity() < data.values.len() {
+        // memory of zeros is not touched where no innovation is written, as in segments
+        scratch.e = vec![0.0; data.values.len()];
+    }
     scratch.e.resize(data.values.len(), 0.0);
     scratch.x.resize(frame.n * T::COUNT, 0.0);
     let mut state = MeanState::<T>::new((frame.n, frame.p));

@@ -14,6 +14,7 @@
 pub(crate) mod chain;
 mod lanes;
 pub(crate) mod prefix;
+pub(crate) mod rows;
 pub(crate) mod square;
 pub(crate) mod strands;
 pub(crate) mod stretch;

@@ -64,7 +64,8 @@ impl Prefix {
             prefix.h[at] = h;
         }
         let frame = prefix.frame(&design.frame);
-        let is_accurate = Isa::best().alone().run(PrefixPass { design, stretch, frame: &frame, rows, out: &mut prefix });
+        let is_accurate =
+            Isa::best().alone().run(PrefixPass { design, stretch, frame: &frame, rows, out: &mut prefix });
         is_accurate.then_some(prefix)
     }
 

@@ -84,12 +84,7 @@ impl SegmentData {
     #[inline]
     pub(crate) fn of<const N: usize>(&self, test: usize, segment: usize) -> OneSegment<N> {
         let at = &self.numbers[(test * self.segments + segment) * (3 * N + 1)..][..3 * N + 1];
-        OneSegment {
-            reference: vector(at),
-            y: vector(&at[N..]),
-            last: vector(&at[2 * N..]),
-            q: at[3 * N],
-        }
+        OneSegment { reference: vector(at), y: vector(&at[N..]), last: vector(&at[2 * N..]), q: at[3 * N] }
     }
 }
 
@@ -134,7 +129,8 @@ impl SegmentedStretch {
         };
         let starts = (0..full).step_by(each);
         let of_strand = |(test, first)| strand(test, first, each.min(full - first));
-        let of_full: Vec<Strand> = starts.flat_map(|first| (0..tests).map(move |test| (test, first))).map(of_strand).collect();
+        let of_full: Vec<Strand> =
+            starts.flat_map(|first| (0..tests).map(move |test| (test, first))).map(of_strand).collect();
         let rest = self.rows.len() % rows;
         let of_rest: Vec<Strand> = (0..if rest > 0 { tests } else { 0 }).map(|test| strand(test, full, 1)).collect();
         let pack = |rows: usize| move |strands: &[Strand]| Pack { strands: strands.to_vec(), rows, marks: Vec::new() };
@@ -156,7 +152,12 @@ pub(crate) struct PackValues<'a> {
 pub(crate) type Block = [[f64; MAX_STRANDS]; MARK_ROWS];
 
 impl<'a> PackValues<'a> {
-    pub(crate) fn new(stretch: &SegmentedStretch, data: StretchData<'a>, pack: &Pack, together: usize) -> PackValues<'a> {
+    pub(crate) fn new(
+        stretch: &SegmentedStretch,
+        data: StretchData<'a>,
+        pack: &Pack,
+        together: usize,
+    ) -> PackValues<'a> {
         let lane = |lane: usize| {
             let strand = pack.strands.get(lane).unwrap_or(&pack.strands[0]);
             (strand.first * stretch.prefix.rows() * data.tests + strand.test, strand.segments)

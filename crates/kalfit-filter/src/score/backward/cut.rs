@@ -31,11 +31,11 @@ impl<'a> BackwardInput<'a> {
         StretchData { values: &self.values[stretch.rows.clone()], tests: 1 }
     }
 
-    /// The forward pass over a stretch that is cut. No innovations are stored: zeros keep their place.
+    /// The forward pass over a stretch that is cut. Innovations are not stored.
     pub(super) fn forward_cut(&self, segment: &Segment, work: &mut BackwardWork) {
         let stretch = self.cut_stretch(segment);
         let BackwardWork { e, cut_stretches, now, .. } = work;
-        e.resize(stretch.rows.end, 0.0);
+        e.next(stretch.rows.len());
         if self.zero_data {
             cut_stretches.push(None);
         } else {
@@ -107,7 +107,8 @@ impl<'a> BackwardInput<'a> {
             if i == j { one } else { 2.0 * one }
         }));
         bar.phi.clear();
-        let place = |state: usize| prefix.place(state).expect("the states of a segment include those of the transition");
+        let place =
+            |state: usize| prefix.place(state).expect("the states of a segment include those of the transition");
         bar.phi.extend(transition.entries().map(|(i, j, _)| {
             let (i, j) = (place(i), place(j));
             if self.wanted.motion { design.phi[i * N + j] + data.phi(i, j) } else { 0.0 }

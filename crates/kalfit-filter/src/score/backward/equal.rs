@@ -137,12 +137,12 @@ pub(super) fn forward(input: &BackwardInput<'_>, segment: &Segment, work: &mut B
         now.P.copy_from_slice(P);
         psi_times_root((Psi, steps.states), input.moments, &mut now.Psi);
     }
+    let e = e.next(steps.stretch.count);
     if input.zero_data {
-        e.resize(e.len() + steps.stretch.count, 0.0);
+        e.fill(0.0);
     } else {
-        let first = e.len();
-        e.extend_from_slice(&input.values[steps.stretch.rows.clone()]);
-        Isa::best().alone().run(EqualForward { steps: &steps, x: &mut now.x, e: &mut e[first..], marks });
+        e.copy_from_slice(&input.values[steps.stretch.rows.clone()]);
+        Isa::best().alone().run(EqualForward { steps: &steps, x: &mut now.x, e, marks });
     }
 }
 

@@ -78,7 +78,7 @@ impl<const N: usize, const C: usize> Kernel for EqualPass<'_, N, C> {
             if input.needs_covariance() && !input.zero_data {
                 let mark = segment.mark + input.stride() + from / steps.block * N;
                 let first = std::array::from_fn(|i| T::splat(work.marks[mark + i]));
-                let e = &work.e[steps.stretch.rows.clone()];
+                let e = &work.e.values()[steps.stretch.rows.clone()];
                 back.recompute_means(&steps, first, (from, to), (e, &mut xs));
             }
             back.block(&steps, (from, to), &xs, work);
@@ -133,7 +133,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
     /// The backward pass over the steps `from..to`; `xs`: x̄ before each of these steps.
     #[inline(always)]
     fn block(&mut self, steps: &EqualStretch<'_>, (from, to): (usize, usize), xs: &[[T; N]], work: &mut BackwardWork) {
-        let e = &work.e[steps.stretch.rows.clone()];
+        let e = &work.e.values()[steps.stretch.rows.clone()];
         let (mut k, low) = (to, from.max(steps.moving()));
         while k > low {
             let gain = steps.gain::<N, C>(k - 1);

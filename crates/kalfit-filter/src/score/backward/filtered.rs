@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DMatrixView};
 use crate::reduce::{Entries, TransitionView, advance, correct_mean, innovation, mirror, predict, update};
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
+use crate::score::backward::work::KnownInnovations;
 
 /// x̄ (n) and, where adjoints of φ or h are wanted, P (r × r, both triangles) and ΨC (n × c).
 #[derive(Debug, Clone)]
@@ -204,15 +205,15 @@ impl BackwardInput<'_> {
 
     /// Updates the filter by the measurement of a row. The innovation is computed and appended to `e` unless `e`
     /// already contains the innovation of this row.
-    pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut Vec<f64>) {
+    pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut KnownInnovations) {
         let line = self.line((line, row));
-        if row == e.len() {
-            e.push(innovation(&now.x, (line.states, line.h), self.values[row]));
+        if row == e.known() {
+            e.next(1)[0] = innovation(&now.x, (line.states, line.h), self.values[row]);
         }
         if line.weight == 0.0 {
             return; // no information
         }
-        now.measure(&line, e[row], &self.posterior());
+        now.measure(&line, e.values()[row], &self.posterior());
     }
 
     /// (n, r), which [`FilterSnapshot::new`] needs to read a stored state.

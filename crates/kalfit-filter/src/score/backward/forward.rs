@@ -4,7 +4,7 @@ use crate::reduce::DesignStep;
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::sink::Sink;
-use crate::score::backward::work::{BackwardWork, MAX_SHORT_STRETCHES, Segment, SegmentKind};
+use crate::score::backward::work::{BackwardWork, KnownInnovations, MAX_SHORT_STRETCHES, Segment, SegmentKind};
 use crate::score::backward::{equal, equal_backward};
 
 impl BackwardInput<'_> {
@@ -18,8 +18,7 @@ impl BackwardInput<'_> {
     /// innovations, and the state of the filter at the start of each segment.
     pub(crate) fn forward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         self.cut(work, sink);
-        work.e.clear();
-        work.e.reserve(self.values.len());
+        work.e.clear(self.values.len());
         work.marks.clear();
         work.cut_stretches.clear();
         self.begin(&mut work.now);
@@ -96,7 +95,7 @@ impl BackwardInput<'_> {
         &self,
         steps: impl Iterator<Item = DesignStep<'s>>,
         mut input: usize,
-        (now, e): (&mut FilteredMoments, &mut Vec<f64>),
+        (now, e): (&mut FilteredMoments, &mut KnownInnovations),
         mut visit: impl FnMut(FilterPosition, &DesignStep<'s>, &FilteredMoments),
     ) {
         let driven = self.design.frame.driven.len();

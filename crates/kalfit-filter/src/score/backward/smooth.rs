@@ -11,7 +11,7 @@ use crate::score::backward::filtered::FilterSnapshot;
 use crate::score::backward::forward::FilterPosition;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::kernel::{dot, outer_entry, times_phi};
-use crate::score::backward::work::BackwardWork;
+use crate::score::backward::work::{BackwardWork, KnownInnovations};
 
 /// Smoothed moments of a test.
 #[derive(Debug)]
@@ -144,7 +144,7 @@ impl BackwardInput<'_> {
             let end = FilterSnapshot::new(&ends[seen(&ends, k)], self.sizes());
             end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[k]);
             k -= 1;
-            self.measured_back(&step, e, |_| end, (adjoint, measured));
+            self.measured_back(&step, e.values(), |_| end, (adjoint, measured));
             let Some(transition) = step.transition else { continue };
             transitions -= 1;
             let before = FilterSnapshot::new(&left[seen(&left, transitions)], self.sizes());
@@ -174,7 +174,8 @@ impl BackwardInput<'_> {
     ) {
         let BackwardWork { now, .. } = work;
         self.begin(now);
-        self.each_position(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
+        let mut e = KnownInnovations::all(e.to_vec());
+        self.each_position(self.design.each_step(), 0, (now, &mut e), |at, step, now| match at {
             FilterPosition::AfterTransition => visit(step, false, now.seen()),
             FilterPosition::AfterMeasurements => visit(step, true, now.seen()),
             FilterPosition::BeforeTransition | FilterPosition::BeforeMeasurement => {}
@@ -185,7 +186,7 @@ impl BackwardInput<'_> {
     /// before each transition (`left`).
     fn forward_storing_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
         let BackwardWork { e, now, .. } = work;
-        e.clear();
+        e.clear(self.values.len());
         self.begin(now);
         now.save(ends);
         self.each_position(self.design.each_step(), 0, (now, e), |at, _, now| match at {

@@ -553,9 +553,29 @@ fn segments_are_the_steps_one_by_one() {
 }
 
 #[test]
+fn gains_of_rows_from_segments_are_those_of_the_steps() {
+    let design = long().0;
+    let of = |off: bool| {
+        let mut work = GainsWork { every_row: true, ..GainsWork::default() };
+        work.settling.off = off;
+        information_gains(&design, None, &mut work).expect("well conditioned")
+    };
+    let (found, each) = (of(false), of(true));
+    assert!(found.gains.len() < each.gains.len(), "the gains of the longest stretch become constant");
+    for row in 0..design.rows() {
+        let ((weight, K, T), (expected, expected_K, expected_T)) = (found.row(row), each.row(row));
+        near::relative(format!("1/S of row {row}"), weight, expected, 1e-13);
+        near::slices(format!("K of row {row}"), K, expected_K, 1e-13);
+        near::slices(format!("T of row {row}"), T, expected_T, 1e-13);
+    }
+}
+
+#[test]
 fn without_paths_equal_steps_go_one_by_one() {
     let (design, data) = long();
-    let mut gains = information_gains(&design, None, &mut with_paths()).expect("well conditioned");
+    let mut work = with_paths();
+    work.settling.off = true;
+    let mut gains = information_gains(&design, None, &mut work).expect("well conditioned");
     let moments = moments(reduction_by(&gains, &design, &data).view(), &law());
     let of = |gains: &Gains| {
         let (mut totals, mut back) = (Totals::new(&design, true), BackwardWork::default());

@@ -33,8 +33,7 @@ impl Default for SegmentLengths {
 #[derive(Debug, Default)]
 pub struct BackwardWork {
     pub(super) cut: SegmentLengths,
-    /// ē of each scalar measurement.
-    pub(super) e: Vec<f64>,
+    pub(super) e: KnownInnovations,
     pub(super) parts: Vec<Segment>,
     /// States of the forward filter at the start of each segment, as [`FilteredMoments::save`] writes them; within
     /// segments of equal steps, x̄ alone at the start of each block.
@@ -51,6 +50,45 @@ pub struct BackwardWork {
     pub(super) variance: Vec<f64>,
     pub(super) measured: MeasurementAdjoint,
     pub(super) moved: TransitionAdjoint,
+}
+
+/// ē of the scalar measurements of a test, known from the first one to the last one that the forward pass has reached.
+#[derive(Debug, Default)]
+pub(super) struct KnownInnovations {
+    values: Vec<f64>,
+    known: usize,
+}
+
+impl KnownInnovations {
+    /// All of these innovations.
+    pub(super) fn all(values: Vec<f64>) -> KnownInnovations {
+        KnownInnovations { known: values.len(), values }
+    }
+
+    /// Forgets all innovations, and makes room for `rows`. Memory of zeros is not touched where no innovation is
+    /// written, as in segments.
+    pub(super) fn clear(&mut self, rows: usize) {
+        self.known = 0;
+        if self.values.len() < rows {
+            self.values = vec![0.0; rows];
+        }
+    }
+
+    /// Number of known innovations.
+    pub(super) fn known(&self) -> usize {
+        self.known
+    }
+
+    /// Room for the innovations of the next `count` measurements, which are known from now on.
+    pub(super) fn next(&mut self, count: usize) -> &mut [f64] {
+        self.known += count;
+        &mut self.values[self.known - count..self.known]
+    }
+
+    /// The known innovations.
+    pub(super) fn values(&self) -> &[f64] {
+        &self.values[..self.known]
+    }
 }
 
 impl BackwardWork {

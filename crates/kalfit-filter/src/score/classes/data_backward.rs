@@ -9,17 +9,17 @@
 
 use kalfit_lanes::{Kernel, Lanes, MAX_LANES};
 
+use crate::reduce::segments::SegmentedStretch;
+use crate::reduce::segments::strands::StretchData;
 use crate::reduce::{
     Common, Design, DesignStep, Gains, Scan, Stretch, Transition, advance, at, correct_mean, innovation, with_states,
 };
 use crate::score::backward::{
     AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, advance_transposed, smoothing_error,
 };
-use crate::reduce::segments::SegmentedStretch;
-use crate::reduce::segments::strands::StretchData;
 use crate::score::classes::equal::EqualDataBackward;
-use crate::score::segments::{DataAdjoints, ForwardStretch};
 use crate::score::pullback::{PullbackFactors, ResponseEntry};
+use crate::score::segments::{DataAdjoints, ForwardStretch};
 use kalfit_model::Test;
 
 /// The design, gains and segments that the tests of a class share.
@@ -303,7 +303,12 @@ impl<T: Lanes> DataBackwardState<T> {
 
     /// The backward pass over a stretch that is cut into segments.
     #[inline(always)]
-    fn cut_back(&mut self, shared: &ClassShared<'_>, (stretch, segments): (&Stretch<'_>, &SegmentedStretch), at: Cursor) {
+    fn cut_back(
+        &mut self,
+        shared: &ClassShared<'_>,
+        (stretch, segments): (&Stretch<'_>, &SegmentedStretch),
+        at: Cursor,
+    ) {
         let forward = self.cut.pop().expect("the forward pass has stored the stretch");
         let mut r = self.of_states(segments);
         let found = forward.back(segments, (self.cut_data(segments), shared.wanted), &mut r);

@@ -55,7 +55,8 @@ pub(super) fn back<const N: usize>(prefix: &Prefix, events: &BTreeMap<usize, Eve
         let T: [f64; N] = std::array::from_fn(|i| gains[N + i] * S);
         let v: [f64; N] = std::array::from_fn(|i| K[i] * S);
         let (VT, PK, PsiT) = (times(&at.V, &T), times(&at.P, &K), times(&at.Psi, &T));
-        let S_bar = -0.5 * at.count * weight + 0.5 * weight * weight * dot(&T, &VT) + dot(&K, &PK) + weight * dot(&PsiT, &K);
+        let S_bar =
+            -0.5 * at.count * weight + 0.5 * weight * weight * dot(&T, &VT) + dot(&K, &PK) + weight * dot(&PsiT, &K);
         let T_bar = added(&transposed_times(&at.Psi, &K).map(|x| -x), -weight, &VT);
         let v_bar = added(&added(&PK.map(|x| -2.0 * x), -weight, &PsiT), S_bar, &h);
         noise += S_bar;
@@ -77,10 +78,5 @@ pub(super) fn back<const N: usize>(prefix: &Prefix, events: &BTreeMap<usize, Eve
         at.P = congruence(&transposed_phi, &at.P);
         at.Psi = product(&transposed_phi, &at.Psi);
     }
-    DesignAdjoints {
-        noise,
-        h: h_bar.to_vec(),
-        q: q_bar.as_flattened().to_vec(),
-        phi: phi_bar.as_flattened().to_vec(),
-    }
+    DesignAdjoints { noise, h: h_bar.to_vec(), q: q_bar.as_flattened().to_vec(), phi: phi_bar.as_flattened().to_vec() }
 }
