@@ -111,6 +111,11 @@ impl Pattern {
         self
     }
 
+    /// Whether φ and Q are diagonal.
+    pub(crate) fn is_diagonal(&self) -> bool {
+        self.diagonal && self.pairs.iter().all(|(i, j)| i == j)
+    }
+
     /// The states that move, if φ is diagonal on them; `None` if a row has a term of another state.
     #[inline(always)]
     pub(crate) fn diagonal(&self) -> Option<impl Iterator<Item = usize>> {

@@ -58,16 +58,14 @@ fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), values: &[f
     for k in 0..p {
         best[k] = at(&scratch.best, k);
     }
-    let (mut total, mut row, mut means) = (zero, 0, &*scratch.means);
-    for stretch in numbers.segments() {
+    let (mut total, mut row) = (zero, 0);
+    for (stretch, filtered) in numbers.segments().iter().zip(&scratch.stretches) {
         total = total + weighted_sums::<T, N>((numbers, design), row..stretch.rows.start, &scratch.e, &best, &mut sum);
         row = stretch.rows.end;
         let (mut y, mut square) = (vec![0.0; p * T::COUNT], vec![0.0; T::COUNT]);
         let values = &values[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
         let data = StretchData { values, tests: T::COUNT };
-        let (own, others) = means.split_at(T::COUNT);
-        stretch.add_at(TestsInLanes { data, y: &mut y, square: &mut square }, &scratch.best, own);
-        means = others;
+        stretch.add_at(TestsInLanes { data, y: &mut y, square: &mut square }, &scratch.best, filtered);
         for (k, sum) in sum.iter_mut().enumerate() {
             *sum = *sum + at(&y, k);
         }

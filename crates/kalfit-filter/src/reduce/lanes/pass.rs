@@ -15,9 +15,8 @@ use crate::reduce::lanes::least_squares;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::{STEPS_PER_SUM, Scan, scanned};
-use crate::reduce::segments::chain::ChainMeans;
 use crate::reduce::segments::strands::StretchData;
-use crate::reduce::segments::{SegmentedStretch, TestsInLanes};
+use crate::reduce::segments::{FilteredStretch, SegmentedStretch, TestsInLanes};
 
 /// A design that all lanes share, and the gains of the design.
 struct SharedDesign<'a> {
@@ -208,12 +207,12 @@ pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
-    scratch.means.clear();
+    scratch.stretches.clear();
     let mut segments = numbers.segments().iter().peekable();
     let (mut line, mut row, mut input, mut step) = (0, 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
         if let Some(stretch) = segments.next_if(|stretch| stretch.rows == (row..run.rows)) {
-            state.segments(stretch, data.values, &mut scratch.means);
+            scratch.stretches.push(state.segments(stretch, data.values));
             (line, row, step) = (run.lines, run.rows, run.steps);
             continue;
         }
@@ -305,7 +304,7 @@ impl<T: Lanes> MeanState<T> {
 
     /// Filters the rows of a stretch that is cut into segments.
     #[inline(always)]
-    fn segments(&mut self, stretch: &SegmentedStretch, values: &[f64], means: &mut Vec<ChainMeans>) {
+    fn segments(&mut self, stretch: &SegmentedStretch, values: &[f64]) -> FilteredStretch {
         let in_lanes = |numbers: &mut [T], out: &mut Vec<f64>| {
             out.clear();
             out.resize(numbers.len() * T::COUNT, 0.0);
@@ -317,7 +316,7 @@ impl<T: Lanes> MeanState<T> {
             values: &values[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT],
             tests: T::COUNT,
         };
-        stretch.filter_tests(TestsInLanes { data, y: &mut y, square: &mut square }, &mut x, means);
+        let filtered = stretch.filter_tests(TestsInLanes { data, y: &mut y, square: &mut square }, &mut x);
         for (k, own) in self.x.iter_mut().enumerate() {
             *own = at(&x, k);
         }
@@ -325,6 +324,7 @@ impl<T: Lanes> MeanState<T> {
             *own = *own + at(&y, k);
         }
         self.square = self.square + at(&square, 0);
+        filtered
     }
 
     /// Adds the parts of the current block to the sums.

@@ -1,17 +1,17 @@
 //! Work space and results of the data pass.
 
 use crate::reduce::data::Outcome;
-use crate::reduce::segments::chain::ChainMeans;
+use crate::reduce::segments::FilteredStretch;
 
 /// Work space and results of a data pass over a block or a single test. All numbers are in lanes.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub struct DataWorkspace {
     /// x̂ of the last step of each test.
     pub x: Vec<f64>,
     /// The innovations, in order.
     pub e: Vec<f64>,
-    /// Means of each test before the segments of each stretch that is cut into segments, stretch after stretch.
-    pub(super) means: Vec<ChainMeans>,
+    /// The stretches that are cut into segments, after the data pass with ξ = 0.
+    pub(super) stretches: Vec<FilteredStretch>,
     /// y, then d.
     pub(super) d: Vec<f64>,
     /// The best ξ.

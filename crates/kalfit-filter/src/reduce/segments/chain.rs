@@ -7,11 +7,13 @@ use crate::reduce::segments::square::{Square, added, dot, square, times};
 use crate::reduce::segments::strands::{OneSegment, SegmentData};
 
 /// Sums over the rows of a stretch of one test, for a given ξ.
-pub(crate) struct ChainSums<'a> {
-    /// Σ T'S⁻¹e, p numbers, to which the stretch is added.
-    pub(crate) y: &'a mut [f64],
-    /// Σ e'S⁻¹e of the stretch.
+pub(crate) struct ChainSums {
+    /// Σ T'S⁻¹e, p numbers.
+    pub(crate) y: Vec<f64>,
+    /// Σ e'S⁻¹e.
     pub(crate) square: f64,
+    /// Sum of the magnitudes of what is subtracted in `square`.
+    pub(crate) cancelled: f64,
 }
 
 /// x̂ of a test before each segment, and the adjoints b of x̂ from the rows of the segment alone:
@@ -28,25 +30,20 @@ pub(crate) struct ChainMeans {
 
 impl SegmentedStretch {
     /// Moves the filtered state `x` (N) of a test through the segments.
-    pub(crate) fn chain(
-        &self,
-        (data, test): (&SegmentData, usize),
-        x: &mut [f64],
-        sums: &mut ChainSums<'_>,
-    ) -> ChainMeans {
+    pub(crate) fn chain(&self, (data, test): (&SegmentData, usize), x: &mut [f64], sums: &mut ChainSums) -> ChainMeans {
         with_states!(self.prefix.size(), N => self.chain_sized::<N>((data, test), x, sums))
     }
 
     /// As [`SegmentedStretch::chain`], without sums.
     pub(crate) fn chain_means(&self, of: (&SegmentData, usize), x: &mut [f64]) -> ChainMeans {
-        self.chain(of, x, &mut ChainSums { y: &mut [], square: 0.0 })
+        self.chain(of, x, &mut ChainSums { y: Vec::new(), square: 0.0, cancelled: 0.0 })
     }
 
     fn chain_sized<const N: usize>(
         &self,
         (data, test): (&SegmentData, usize),
         state: &mut [f64],
-        sums: &mut ChainSums<'_>,
+        sums: &mut ChainSums,
     ) -> ChainMeans {
         let p = sums.y.len();
         let mut means = ChainMeans { numbers: Vec::with_capacity(3 * N * self.segments()) };
@@ -61,7 +58,9 @@ impl SegmentedStretch {
             let a = added(&y, -1.0, &times(&J, &g));
             let b = times(&B, &a);
             let moved = times(&P, &b);
-            sums.square += q - dot(&g, &added(&y, 1.0, &a)) - dot(&a, &moved);
+            let (of_reference, of_rows) = (dot(&g, &added(&y, 1.0, &a)), dot(&a, &moved));
+            sums.square += q - of_reference - of_rows;
+            sums.cancelled += of_reference.abs() + of_rows.abs();
             for k in 0..p {
                 sums.y[k] += (0..N).map(|i| link.Psi[i * p + k] * b[i]).sum::<f64>();
             }

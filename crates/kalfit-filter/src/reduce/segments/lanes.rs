@@ -1,9 +1,20 @@
 //! Segments of tests in lanes, for the data pass over whole tests.
-#![expect(non_snake_case, reason = "the letters of the theory: Psi")]
+#![expect(non_snake_case, reason = "the letters of the theory: J, Psi")]
 
+use crate::reduce::scan::with_states;
 use crate::reduce::segments::SegmentedStretch;
 use crate::reduce::segments::chain::{ChainMeans, ChainSums};
-use crate::reduce::segments::strands::StretchData;
+use crate::reduce::segments::square::{product, square, symmetric, times};
+use crate::reduce::segments::strands::{SegmentData, StretchData};
+use crate::reduce::segments::stretch::add_congruence;
+use crate::reduce::semidefinite::information_root;
+use kalfit_algebra::symmetric::pairs;
+
+/// Least scaled pivot of the information of a first segment about ξ that tells where to start.
+const LEAST_PIVOT: f64 = 1e-6;
+
+/// Largest ratio of what is subtracted in a sum of squares to the sum.
+const MOST_CANCELLED: f64 = 10.0;
 
 /// Tests in lanes: number k of test t is at k × tests + t.
 pub(crate) struct TestsInLanes<'a> {
@@ -14,55 +25,109 @@ pub(crate) struct TestsInLanes<'a> {
     pub(crate) square: &'a mut [f64],
 }
 
+/// A stretch of tests in lanes after the data pass with ξ = 0.
+#[derive(Debug)]
+pub(crate) struct FilteredStretch {
+    data: SegmentData,
+    /// Means of each test.
+    means: Vec<ChainMeans>,
+}
+
 impl SegmentedStretch {
-    /// Filters tests through the stretch; `x`: x̂ of all states of each test. Appends the means of each test to `means`.
-    pub(crate) fn filter_tests(&self, tests: TestsInLanes<'_>, x: &mut [f64], means: &mut Vec<ChainMeans>) {
+    /// Filters tests through the stretch; `x`: x̂ of all states of each test, before and then after it.
+    pub(crate) fn filter_tests(&self, tests: TestsInLanes<'_>, x: &mut [f64]) -> FilteredStretch {
         let TestsInLanes { data, y, square } = tests;
-        let (many, states) = (data.tests, &self.prefix.states);
+        let (many, states, p) = (data.tests, &self.prefix.states, y.len() / data.tests);
         let before = |test: usize| states.iter().map(move |&state| state * many + test);
-        let reference = |test: usize, _: usize, out: &mut [f64]| {
+        let near = self.near_unknowns(data, |test, out| {
             out.iter_mut().zip(before(test)).for_each(|(out, at)| *out = x[at]);
+        });
+        let Psi = self.link(0).Psi;
+        let reference = |test: usize, _: usize, out: &mut [f64]| {
+            for ((i, out), at) in out.iter_mut().enumerate().zip(before(test)) {
+                *out = x[at] + (0..p).map(|k| Psi[i * p + k] * near[test * p + k]).sum::<f64>();
+            }
         };
         let run = self.run(data, reference, false);
+        let start: Vec<f64> = x.to_vec();
+        let mut filtered = FilteredStretch { data: run, means: Vec::with_capacity(many) };
         for test in 0..many {
-            let mut own: Vec<f64> = before(test).map(|at| x[at]).collect();
-            means.push(self.add_chain((&run, test), &mut own, (&mut *y, &mut *square), many));
+            let mut own: Vec<f64> = before(test).map(|at| start[at]).collect();
+            let means = self.chain((&filtered.data, test), &mut own, &mut ChainSums::zeros(p));
+            filtered.means.push(means);
             own.iter().zip(before(test)).for_each(|(own, at)| x[at] = *own);
         }
+        self.add_at(TestsInLanes { data, y, square }, &vec![0.0; p * many], &filtered);
+        filtered
     }
 
-    /// Adds Σ T'S⁻¹(e - Tξ) and Σ (e - Tξ)'S⁻¹(e - Tξ) of each test; `means`: of [`SegmentedStretch::filter_tests`],
-    /// `xi`: ξ of each test. The segments run again from the states that follow from ξ, so that nothing cancels.
-    pub(crate) fn add_at(&self, tests: TestsInLanes<'_>, xi: &[f64], means: &[ChainMeans]) {
+    /// Adds Σ T'S⁻¹(e - Tξ) and Σ (e - Tξ)'S⁻¹(e - Tξ) of each test. `xi`: ξ of each test. Where too much cancels, the
+    /// segments run again from the states that follow from ξ.
+    pub(crate) fn add_at(&self, tests: TestsInLanes<'_>, xi: &[f64], filtered: &FilteredStretch) {
         let TestsInLanes { data, y, square } = tests;
-        let (many, size) = (data.tests, self.prefix.size());
-        let p = y.len() / many;
-        let reference = |test: usize, segment: usize, out: &mut [f64]| {
-            let (x, Psi) = (means[test].of(segment, size)[0], self.link(segment).Psi);
+        let (many, size, p) = (data.tests, self.prefix.size(), y.len() / data.tests);
+        let mean = |test: usize, segment: usize, out: &mut [f64]| {
+            let (x, Psi) = (filtered.means[test].of(segment, size)[0], self.link(segment).Psi);
             for i in 0..size {
                 out[i] = x[i] + (0..p).map(|k| Psi[i * p + k] * xi[k * many + test]).sum::<f64>();
             }
         };
-        let run = self.run(data, reference, false);
+        let sums = |run: &SegmentData, test: usize| {
+            let (mut sums, mut own) = (ChainSums::zeros(p), vec![0.0; size]);
+            mean(test, 0, &mut own);
+            self.chain((run, test), &mut own, &mut sums);
+            sums
+        };
+        let mut again = None;
         for test in 0..many {
-            let mut own = vec![0.0; size];
-            reference(test, 0, &mut own);
-            self.add_chain((&run, test), &mut own, (&mut *y, &mut *square), many);
+            let mut own = sums(&filtered.data, test);
+            if !(own.cancelled <= MOST_CANCELLED * own.square) {
+                own = sums(again.get_or_insert_with(|| self.run(data, mean, false)), test);
+            }
+            own.add_to((&mut *y, &mut *square), (test, many));
         }
     }
 
-    fn add_chain(
-        &self,
-        (run, test): (&crate::reduce::segments::strands::SegmentData, usize),
-        x: &mut [f64],
-        (y, square): (&mut [f64], &mut [f64]),
-        tests: usize,
-    ) -> ChainMeans {
-        let mut own = vec![0.0; y.len() / tests];
-        let mut sums = ChainSums { y: &mut own, square: 0.0 };
-        let means = self.chain((run, test), x, &mut sums);
-        square[test] += sums.square;
-        own.iter().enumerate().for_each(|(k, own)| y[k * tests + test] += own);
-        means
+    /// ξ of each test, p numbers, from the first segment alone, so that references are near the states of the test; zero
+    /// where the segment says too little. `start`: writes x̂ of a test before the stretch.
+    fn near_unknowns(&self, data: StretchData<'_>, start: impl Fn(usize, &mut [f64])) -> Vec<f64> {
+        let run = self.run_first(data, |test, _, out| start(test, out));
+        with_states!(self.prefix.size(), N => self.near_sized::<N>(data.tests, &run))
+    }
+
+    fn near_sized<const N: usize>(&self, tests: usize, run: &SegmentData) -> Vec<f64> {
+        let (link, moments) = (self.link(0), self.moments_of(0));
+        let p = link.Psi.len() / N.max(1);
+        let B = square::<N>(link.B);
+        let mut J = vec![0.0; pairs(p)];
+        add_congruence(&symmetric(&product(&B, &square::<N>(moments.J))), link.Psi, p, &mut J);
+        let root = information_root(&J, p, LEAST_PIVOT).0;
+        let at = |i: usize, k: usize| root[i + k * (k + 1) / 2];
+        let solved = |x: f64, pivot: f64| if pivot > 0.0 { x / pivot } else { 0.0 };
+        let mut all = Vec::with_capacity(tests * p);
+        for test in 0..tests {
+            let b = times(&B, &run.of::<N>(test, 0).y);
+            let mut xi: Vec<f64> = (0..p).map(|k| (0..N).map(|i| link.Psi[i * p + k] * b[i]).sum()).collect();
+            for k in 0..p {
+                xi[k] = solved((0..k).fold(xi[k], |left, i| left - at(i, k) * xi[i]), at(k, k));
+            }
+            for k in (0..p).rev() {
+                xi[k] = solved((k + 1..p).fold(xi[k], |left, j| left - at(k, j) * xi[j]), at(k, k));
+            }
+            all.extend(xi);
+        }
+        all
+    }
+}
+
+impl ChainSums {
+    fn zeros(p: usize) -> ChainSums {
+        ChainSums { y: vec![0.0; p], square: 0.0, cancelled: 0.0 }
+    }
+
+    /// Adds the sums to those of a test in lanes.
+    fn add_to(&self, (y, square): (&mut [f64], &mut [f64]), (test, tests): (usize, usize)) {
+        square[test] += self.square;
+        self.y.iter().enumerate().for_each(|(k, own)| y[k * tests + test] += own);
     }
 }

@@ -22,7 +22,7 @@ pub(crate) mod stretch;
 use crate::reduce::design::Design;
 use prefix::{Prefix, Prefixes};
 
-pub(crate) use lanes::TestsInLanes;
+pub(crate) use lanes::{FilteredStretch, TestsInLanes};
 pub(crate) use stretch::{SegmentFilter, SegmentedStretch};
 
 use std::sync::Arc;

@@ -23,6 +23,8 @@ pub(crate) struct Prefix {
     pub(crate) states: Vec<usize>,
     /// φ, N × N, row-major.
     pub(crate) phi: Vec<f64>,
+    /// Whether φ and Q are diagonal.
+    pub(crate) diagonal: bool,
     /// h, N numbers.
     pub(crate) h: Vec<f64>,
     /// (K, T'/S, 1/S) of each row, 2N + 1 numbers.
@@ -52,6 +54,7 @@ impl Prefix {
         let N = states.len();
         let mut prefix = Prefix {
             phi: phi_of(stretch, &states),
+            diagonal: stretch.transition.is_none_or(|transition| transition.pattern.is_diagonal()),
             h: vec![0.0; N],
             gains: Vec::with_capacity(rows * (2 * N + 1)),
             moments: Vec::with_capacity((rows + 1) * 3 * N * N),

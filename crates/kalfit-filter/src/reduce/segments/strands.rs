@@ -97,10 +97,19 @@ impl SegmentedStretch {
         reference: impl Fn(usize, usize, &mut [f64]),
         marked: bool,
     ) -> SegmentData {
-        let (size, segments) = (self.prefix.size(), self.segments());
-        let mut packs = self.packs(data.tests, reference);
+        self.run_packs(data, (self.packs(data.tests, reference), self.segments()), marked)
+    }
+
+    /// Runs the data of tests through the first segment alone.
+    pub(crate) fn run_first(&self, data: StretchData<'_>, reference: impl Fn(usize, usize, &mut [f64])) -> SegmentData {
+        let strands: Vec<Strand> = (0..data.tests).map(|test| self.strand((test, 0, 1), &reference)).collect();
+        self.run_packs(data, (packs(&strands, self.rows_of(0)).collect(), 1), false)
+    }
+
+    fn run_packs(&self, data: StretchData<'_>, (mut packs, segments): (Vec<Pack>, usize), marked: bool) -> SegmentData {
+        let size = self.prefix.size();
         let run = |pack: &mut Pack| Isa::best().run(ValuePass { stretch: self, data, pack, marked });
-        let found: Vec<Vec<f64>> = match data.values.len() > MAX_SERIAL_ROWS {
+        let found: Vec<Vec<f64>> = match data.values.len() > MAX_SERIAL_ROWS && segments > 1 {
             true => packs.par_iter_mut().map(run).collect(),
             false => packs.iter_mut().map(run).collect(),
         };
@@ -117,25 +126,35 @@ impl SegmentedStretch {
         SegmentData { segments, numbers, packs }
     }
 
+    fn strand(
+        &self,
+        (test, first, segments): (usize, usize, usize),
+        reference: &impl Fn(usize, usize, &mut [f64]),
+    ) -> Strand {
+        let mut strand = Strand { test, first, segments, reference: [0.0; MAX_STATES] };
+        reference(test, first, &mut strand.reference[..self.prefix.size()]);
+        strand
+    }
+
     /// The strands of all tests, full segments before the last, shorter one.
     fn packs(&self, tests: usize, reference: impl Fn(usize, usize, &mut [f64])) -> Vec<Pack> {
-        let (rows, together) = (self.prefix.rows(), GROUPS * Isa::best().lanes());
-        let full = self.rows.len() / rows;
+        let rows = self.prefix.rows();
+        let (full, rest) = (self.rows.len() / rows, self.rows.len() % rows);
         let each = full.div_ceil(STRANDS).clamp(1, MAX_SEGMENTS);
-        let strand = |test: usize, first: usize, segments: usize| {
-            let mut strand = Strand { test, first, segments, reference: [0.0; MAX_STATES] };
-            reference(test, first, &mut strand.reference[..self.prefix.size()]);
-            strand
+        let of_all = |first: usize, segments: usize| {
+            (0..tests).map(|test| self.strand((test, first, segments), &reference)).collect::<Vec<Strand>>()
         };
-        let starts = (0..full).step_by(each);
-        let of_strand = |(test, first)| strand(test, first, each.min(full - first));
         let of_full: Vec<Strand> =
-            starts.flat_map(|first| (0..tests).map(move |test| (test, first))).map(of_strand).collect();
-        let rest = self.rows.len() % rows;
-        let of_rest: Vec<Strand> = (0..if rest > 0 { tests } else { 0 }).map(|test| strand(test, full, 1)).collect();
-        let pack = |rows: usize| move |strands: &[Strand]| Pack { strands: strands.to_vec(), rows, marks: Vec::new() };
-        of_full.chunks(together).map(pack(rows)).chain(of_rest.chunks(together).map(pack(rest))).collect()
+            (0..full).step_by(each).flat_map(|first| of_all(first, each.min(full - first))).collect();
+        let of_rest = if rest > 0 { of_all(full, 1) } else { Vec::new() };
+        packs(&of_full, rows).chain(packs(&of_rest, rest)).collect()
     }
+}
+
+/// Packs of strands with segments of one length.
+fn packs(strands: &[Strand], rows: usize) -> impl Iterator<Item = Pack> {
+    let pack = move |strands: &[Strand]| Pack { strands: strands.to_vec(), rows, marks: Vec::new() };
+    strands.chunks(GROUPS * Isa::best().lanes()).map(pack)
 }
 
 /// Where the values of the strands of a pack are, one strand in each lane; lanes without a strand repeat the first strand.
@@ -193,24 +212,28 @@ impl Kernel for ValuePass<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<f64> {
-        with_states!(self.stretch.prefix.size(), N => T::apart(SizedPass::<T, N> { pass: self, lanes: PhantomData }))
+        let size = self.stretch.prefix.size();
+        match self.stretch.prefix.diagonal {
+            true => with_states!(size, N => T::apart(SizedPass::<T, N, true> { pass: self, lanes: PhantomData })),
+            false => with_states!(size, N => T::apart(SizedPass::<T, N, false> { pass: self, lanes: PhantomData })),
+        }
     }
 }
 
 /// A [`ValuePass`] over segments of `N` states.
-struct SizedPass<'a, T, const N: usize> {
+struct SizedPass<'a, T, const N: usize, const DIAGONAL: bool> {
     pass: ValuePass<'a>,
     lanes: PhantomData<T>,
 }
 
-impl<T: Lanes, const N: usize> Part for SizedPass<'_, T, N> {
+impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N, DIAGONAL> {
     type Output = Vec<f64>;
 
     #[inline(always)]
     fn run(self) -> Vec<f64> {
         let ValuePass { stretch, data, pack, marked } = self.pass;
         let (prefix, together, zero) = (&*stretch.prefix, GROUPS * T::COUNT, T::splat(0.0));
-        let step = StepMatrices::<N>::of(prefix);
+        let step = StepMatrices::<N, DIAGONAL>::of(prefix);
         let values = PackValues::new(stretch, data, pack, together);
         let (rows, segments) = (pack.rows, pack.strands.iter().map(|strand| strand.segments).max().unwrap_or(0));
         let mut out = vec![0.0; pack.strands.iter().map(|strand| strand.segments).sum::<usize>() * (3 * N + 1)];
@@ -294,14 +317,16 @@ fn store_segment<T: Lanes, const N: usize>(
 }
 
 /// φ, h and φ'h of a step.
-pub(crate) struct StepMatrices<const N: usize> {
+///
+/// `DIAGONAL`: φ and Q are diagonal.
+pub(crate) struct StepMatrices<const N: usize, const DIAGONAL: bool> {
     pub(crate) phi: Square<N>,
     pub(crate) h: [f64; N],
     pub(crate) g: [f64; N],
 }
 
-impl<const N: usize> StepMatrices<N> {
-    pub(crate) fn of(prefix: &Prefix) -> StepMatrices<N> {
+impl<const N: usize, const DIAGONAL: bool> StepMatrices<N, DIAGONAL> {
+    pub(crate) fn of(prefix: &Prefix) -> StepMatrices<N, DIAGONAL> {
         let (phi, h) = (square::<N>(&prefix.phi), vector::<N>(&prefix.h));
         StepMatrices { phi, h, g: transposed_times(&phi, &h) }
     }
@@ -317,15 +342,24 @@ impl<const N: usize> StepMatrices<N> {
         sums[0] + sums[1]
     }
 
+    /// Entry i of φx.
+    #[inline(always)]
+    pub(crate) fn predicted<T: Lanes>(&self, x: &[T; N], i: usize) -> T {
+        let mut next = T::splat(self.phi[i][i]) * x[i];
+        for j in 0..N {
+            if !DIAGONAL && j != i {
+                next = T::splat(self.phi[i][j]).fma(x[j], next);
+            }
+        }
+        next
+    }
+
     /// φx + Ke.
     #[inline(always)]
     pub(crate) fn state<T: Lanes>(&self, x: &[T; N], K: &[f64], e: T) -> [T; N] {
         let mut next = [T::splat(0.0); N];
         for i in 0..N {
-            next[i] = T::splat(self.phi[i][0]) * x[0];
-            for j in 1..N {
-                next[i] = T::splat(self.phi[i][j]).fma(x[j], next[i]);
-            }
+            next[i] = self.predicted(x, i);
             next[i] = T::splat(K[i]).fma(e, next[i]);
         }
         next

@@ -162,7 +162,7 @@ fn is_symmetric<const N: usize>(P: &Square<N>) -> bool {
 }
 
 /// J ← J + Ψ'MΨ, packed by columns; Ψ is N × p.
-fn add_congruence<const N: usize>(M: &Square<N>, Psi: &[f64], p: usize, J: &mut [f64]) {
+pub(super) fn add_congruence<const N: usize>(M: &Square<N>, Psi: &[f64], p: usize, J: &mut [f64]) {
     let mut at = 0;
     for k in 0..p {
         let column: [f64; N] = std::array::from_fn(|i| (0..N).map(|j| M[i][j] * Psi[j * p + k]).sum());

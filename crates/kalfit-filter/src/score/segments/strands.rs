@@ -19,8 +19,9 @@ use crate::reduce::segments::strands::{
 use crate::reduce::with_states;
 use crate::score::backward::AdjointsWanted;
 
-/// The data's part of the adjoints of the steps of a stretch of one test, summed over the steps: u, u², r, the terms of
-/// ∂ℓ/∂h, rr' (lower triangle) and the terms of ∂ℓ/∂φ.
+/// The data's part of the adjoints of the steps of a stretch of one test, summed over the steps: u, u², the terms of
+/// ∂ℓ/∂h, rr' (lower triangle) and the terms of ∂ℓ/∂φ;
+/// entries off the diagonal are zero where φ and Q are diagonal.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct DataAdjoints {
     size: usize,
@@ -29,7 +30,7 @@ pub(crate) struct DataAdjoints {
 
 /// Number of sums over the rows of segments of N states.
 const fn sums(N: usize) -> usize {
-    2 + 2 * N + 2 * N * N
+    2 + N + 2 * N * N
 }
 
 impl DataAdjoints {
@@ -47,15 +48,15 @@ impl DataAdjoints {
     }
 
     pub(crate) fn h(&self, i: usize) -> f64 {
-        self.numbers[2 + self.size + i]
+        self.numbers[2 + i]
     }
 
     pub(crate) fn rr(&self, i: usize, j: usize) -> f64 {
-        self.numbers[2 + 2 * self.size + i.max(j) * self.size + i.min(j)]
+        self.numbers[2 + self.size + i.max(j) * self.size + i.min(j)]
     }
 
     pub(crate) fn phi(&self, i: usize, j: usize) -> f64 {
-        self.numbers[2 + 2 * self.size + self.size * self.size + i * self.size + j]
+        self.numbers[2 + self.size + self.size * self.size + i * self.size + j]
     }
 }
 
@@ -96,12 +97,16 @@ impl Kernel for BackwardPass<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<f64> {
-        with_states!(self.stretch.prefix.size(), N => T::apart(SizedPass::<T, N> { pass: self, lanes: PhantomData }))
+        let size = self.stretch.prefix.size();
+        match self.stretch.prefix.diagonal {
+            true => with_states!(size, N => T::apart(SizedPass::<T, N, true> { pass: self, lanes: PhantomData })),
+            false => with_states!(size, N => T::apart(SizedPass::<T, N, false> { pass: self, lanes: PhantomData })),
+        }
     }
 }
 
 /// A [`BackwardPass`] over segments of `N` states.
-struct SizedPass<'a, T, const N: usize> {
+struct SizedPass<'a, T, const N: usize, const DIAGONAL: bool> {
     pass: BackwardPass<'a>,
     lanes: PhantomData<T>,
 }
@@ -111,7 +116,6 @@ struct SizedPass<'a, T, const N: usize> {
 struct RowSums<T, const N: usize> {
     u: T,
     uu: T,
-    r: [T; N],
     h: [T; N],
     rr: [[T; N]; N],
     phi: [[T; N]; N],
@@ -121,7 +125,7 @@ impl<T: Lanes, const N: usize> RowSums<T, N> {
     #[inline(always)]
     fn zeros() -> RowSums<T, N> {
         let zero = T::splat(0.0);
-        RowSums { u: zero, uu: zero, r: [zero; N], h: [zero; N], rr: [[zero; N]; N], phi: [[zero; N]; N] }
+        RowSums { u: zero, uu: zero, h: [zero; N], rr: [[zero; N]; N], phi: [[zero; N]; N] }
     }
 
     /// Adds sums where `present` is one, and not where it is zero.
@@ -130,7 +134,6 @@ impl<T: Lanes, const N: usize> RowSums<T, N> {
         self.u = present.fma(others.u, self.u);
         self.uu = present.fma(others.uu, self.uu);
         for i in 0..N {
-            self.r[i] = present.fma(others.r[i], self.r[i]);
             self.h[i] = present.fma(others.h[i], self.h[i]);
             for j in 0..N {
                 self.rr[i][j] = present.fma(others.rr[i][j], self.rr[i][j]);
@@ -144,11 +147,10 @@ impl<T: Lanes, const N: usize> RowSums<T, N> {
         out[0] = self.u.lane(lane);
         out[1] = self.uu.lane(lane);
         for i in 0..N {
-            out[2 + i] = self.r[i].lane(lane);
-            out[2 + N + i] = self.h[i].lane(lane);
+            out[2 + i] = self.h[i].lane(lane);
             for j in 0..N {
-                out[2 + 2 * N + i * N + j] = self.rr[i][j].lane(lane);
-                out[2 + 2 * N + N * N + i * N + j] = self.phi[i][j].lane(lane);
+                out[2 + N + i * N + j] = self.rr[i][j].lane(lane);
+                out[2 + N + N * N + i * N + j] = self.phi[i][j].lane(lane);
             }
         }
     }
@@ -160,14 +162,14 @@ struct BlockStates<T, const N: usize> {
     e: [[T; MARK_ROWS]; GROUPS],
 }
 
-impl<T: Lanes, const N: usize> Part for SizedPass<'_, T, N> {
+impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N, DIAGONAL> {
     type Output = Vec<f64>;
 
     #[inline(always)]
     fn run(self) -> Vec<f64> {
         let BackwardPass { stretch, data, pack, ends, wanted } = self.pass;
         let (prefix, together, zero) = (&*stretch.prefix, GROUPS * T::COUNT, T::splat(0.0));
-        let step = StepMatrices::<N>::of(prefix);
+        let step = StepMatrices::<N, DIAGONAL>::of(prefix);
         let values = PackValues::new(stretch, data, pack, together);
         let (rows, segments) = (pack.rows, pack.strands.iter().map(|strand| strand.segments).max().unwrap_or(0));
         let blocks = rows.div_ceil(MARK_ROWS);
@@ -218,8 +220,8 @@ impl<T: Lanes, const N: usize> Part for SizedPass<'_, T, N> {
 
 /// r before the rows `from..from + many` of a segment, from r after them.
 #[inline(always)]
-fn rows_back<T: Lanes, const N: usize>(
-    step: &StepMatrices<N>,
+fn rows_back<T: Lanes, const N: usize, const DIAGONAL: bool>(
+    step: &StepMatrices<N, DIAGONAL>,
     (stretch, from, many): (&SegmentedStretch, usize, usize),
     (xs, es): (&[[T; N]; MARK_ROWS], &[T; MARK_ROWS]),
     mut r: [T; N],
@@ -242,10 +244,9 @@ fn rows_back<T: Lanes, const N: usize>(
             r[i] = T::splat(step.h[i]).fma(u, r[i]);
         }
         if wanted.equation {
-            let predicted = step.state(&xs[k], &[0.0; N], T::splat(0.0));
             let (P, S) = (prefix.after(from + k + 1).P, 1.0 / gains[2 * N]);
             for i in 0..N {
-                let mut smoothed = predicted[i];
+                let mut smoothed = step.predicted(&xs[k], i);
                 for j in 0..N {
                     smoothed = T::splat(P[i * N + j] + S * gains[i] * gains[j]).fma(r[j], smoothed);
                 }
@@ -254,14 +255,18 @@ fn rows_back<T: Lanes, const N: usize>(
         }
         let mut before = [T::splat(0.0); N];
         for i in 0..N {
+            before[i] = T::splat(step.phi[i][i]) * r[i];
             for j in 0..N {
-                before[i] = T::splat(step.phi[j][i]).fma(r[j], before[i]);
+                if !DIAGONAL && j != i {
+                    before[i] = T::splat(step.phi[j][i]).fma(r[j], before[i]);
+                }
             }
         }
         for i in 0..N {
-            own.r[i] = own.r[i] + r[i];
             for j in 0..=i {
-                own.rr[i][j] = r[i].fma(r[j], own.rr[i][j]);
+                if !DIAGONAL || j == i {
+                    own.rr[i][j] = r[i].fma(r[j], own.rr[i][j]);
+                }
             }
         }
         if wanted.motion {
@@ -272,7 +277,9 @@ fn rows_back<T: Lanes, const N: usize>(
                     smoothed = T::splat(P[j * N + i]).fma(before[i], smoothed);
                 }
                 for i in 0..N {
-                    own.phi[i][j] = r[i].fma(smoothed, own.phi[i][j]);
+                    if !DIAGONAL || j == i {
+                        own.phi[i][j] = r[i].fma(smoothed, own.phi[i][j]);
+                    }
                 }
             }
         }
