@@ -15,7 +15,7 @@ use kalfit_fixtures::by_hand;
 use kalfit_fixtures::by_hand::{
     alpha, continuous, gauss_markov, known, linear, meter, minus, number, over, square, state,
 };
-use kalfit_fixtures::slope;
+use kalfit_fixtures::{near, slope};
 use kalfit_model::{Initial, Model, Motion, Parameter, Value};
 use kalfit_model::{Labels, Source};
 
@@ -106,6 +106,69 @@ fn the_score_of_a_long_record_equals_differences() {
             assert!((found - full).abs() <= 1e-8 * size, "{free}, slot {slot}: {found}, unfrozen {full}");
         }
     }
+}
+
+/// z = bias + processes of `taus` + x + v with x' = walk of the speed, and α = the time constants, then σ of all
+/// processes, then σ of v.
+fn drifting(taus: &[f64], rate: f64) -> Model {
+    let n = taus.len();
+    let mut states = vec![state("bias", Motion::Constant, Initial::Estimated)];
+    for k in 0..n {
+        states.push(state(&format!("p{k}"), gauss_markov(1 + k, alpha(k), alpha(n)), Initial::Stationary));
+    }
+    let mut terms: Vec<_> = (0..=n).map(|k| (k, number(1.0))).collect();
+    if rate > 0.0 {
+        let speed = || known(number(0.0), number(rate * rate));
+        states.push(state("x", continuous(vec![(n + 2, number(1.0))], number(0.0), number(0.0)), speed()));
+        states.push(state("speed", continuous(Vec::new(), number(0.0), square(number(rate))), speed()));
+        terms.push((n + 1, number(1.0)));
+    }
+    let parameters = (0..n + 2).map(|k| by_hand::parameter(&format!("a{k}"), None, None, false)).collect();
+    let noise = square(alpha(n + 1));
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter("z", 1, linear(terms, number(0.0)), noise)])
+}
+
+/// Long records with gaps, far from zero, of fast and slow processes and of states that drift away.
+#[test]
+fn segments_of_any_record_give_what_its_steps_give() {
+    let mut rng = ChaCha8Rng::seed_from_u64(60);
+    let mut cut = 0;
+    for case in 0..24 {
+        let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
+        let taus: Vec<f64> = (0..case % 4).map(|_| 10f64.powf(uniform(-0.5, 4.5))).collect();
+        let rate = if case % 3 == 0 { 10f64.powf(uniform(-4.0, -1.0)) } else { 0.0 };
+        let (level, sigma, noise) = (uniform(-1e3, 1e3), uniform(0.1, 2.0), 10f64.powf(uniform(-2.0, 0.5)));
+        let rows = uniform(700.0, 4000.0) as u32;
+        let gaps: Vec<u32> = (0..case % 5).map(|_| uniform(0.0, f64::from(rows)) as u32).collect();
+        let mut normal = || -> f64 { rng.sample(StandardNormal) };
+        let (mut processes, mut x, mut speed) = (vec![0.0; taus.len()], 0.0, 0.0);
+        let mut test = Test::new("drifting", 2, 0);
+        for k in 0..rows {
+            let z = level + processes.iter().sum::<f64>() + x + noise * normal();
+            if !gaps.contains(&k) {
+                test.push(&[f64::from(k), z], &[], Source { file: 0, row: u64::from(k) });
+            }
+            for (p, tau) in processes.iter_mut().zip(&taus) {
+                let keep = (-1.0 / tau).exp();
+                *p = keep * *p + sigma * (1.0 - keep * keep).sqrt() * normal();
+            }
+            x += speed;
+            speed += rate * normal();
+        }
+        let model = drifting(&taus, rate);
+        let values: Vec<f64> = taus.iter().copied().chain([sigma, noise]).collect();
+        let slots = Slots::new(&model, &Labels::default(), std::slice::from_ref(&test));
+        let (ell, score) = at(&model, &slots, &values, &test, false);
+        let (expected, full) = at(&model, &slots, &values, &test, true);
+        cut += usize::from(ell.to_bits() != expected.to_bits());
+        // the mean of ξ is far from the level of the record, so that ℓ is as large as its largest term
+        near::absolute(format!("ℓ of case {case}"), ell, expected, 1e-10 * expected.abs().max(f64::from(rows)));
+        for ((found, full), value) in score.iter().zip(&full).zip(&values) {
+            let size = full.1.abs().max(f64::from(rows).sqrt() / value);
+            near::absolute(format!("slope of case {case} at {value}"), found.1, full.1, 1e-9 * size);
+        }
+    }
+    assert!(cut >= 20, "{cut} of 24 records were cut");
 }
 
 /// z = bias + x + v with x' = speed + ½, speed' = drift, seldom measured: between measurements x becomes far more

@@ -81,7 +81,7 @@ impl SegmentedStretch {
         let mut again = None;
         for test in 0..many {
             let mut own = sums(&filtered.data, test);
-            if !(own.cancelled <= MOST_CANCELLED * own.square) {
+            if own.cancelled > MOST_CANCELLED * own.square || own.square.is_nan() {
                 own = sums(again.get_or_insert_with(|| self.run(data, mean, false)), test);
             }
             own.add_to((&mut *y, &mut *square), (test, many));

@@ -259,7 +259,7 @@ impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N
                     }
                 }
             }
-            store_segment(&pack.strands, segment, (&reference, &y, &x, &q), &mut out);
+            store_segment(&pack.strands, segment, ([&reference, &y, &x], &q), &mut out);
         }
         out
     }
@@ -297,7 +297,7 @@ fn store_mark<T: Lanes, const N: usize>(x: &[[T; N]; GROUPS], marks: &mut Vec<f6
 fn store_segment<T: Lanes, const N: usize>(
     strands: &[Strand],
     segment: usize,
-    (reference, y, last, q): (&[[T; N]; GROUPS], &[[T; N]; GROUPS], &[[T; N]; GROUPS], &[T; GROUPS]),
+    ([reference, y, last], q): ([&[[T; N]; GROUPS]; 3], &[T; GROUPS]),
     out: &mut [f64],
 ) {
     let mut first = 0;
