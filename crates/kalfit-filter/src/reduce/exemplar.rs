@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::reduce::chunk_size::chunk_size;
 use crate::reduce::class::DesignClass;
+use crate::reduce::measured_cells::MeasuredCells;
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
@@ -23,8 +24,7 @@ struct DesignExemplar {
     class: DesignClass,
     digest: u128,
     steps: usize,
-    /// (index of the cell among all numbers of the test, d) of each scalar measurement.
-    cells: Vec<(usize, f64)>,
+    cells: MeasuredCells,
     start: Vec<f64>,
     inputs: Vec<f64>,
 }

@@ -113,13 +113,19 @@ impl Instances {
         rows.map(|row| self.get(row)).collect()
     }
 
+    /// (scalar measurements, number of occurrences, number of rows from one occurrence to the next), in order.
+    pub(crate) fn blocks(&self) -> impl Iterator<Item = (&[Instance], usize, usize)> {
+        self.blocks.iter().enumerate().map(|(at, block)| {
+            let end = self.blocks.get(at + 1).map_or(self.entries.len(), |next| next.entry);
+            (&self.entries[block.entry..end], block.count, block.height)
+        })
+    }
+
     /// All scalar measurements, in order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = Instance> {
-        self.blocks.iter().enumerate().flat_map(|(at, block)| {
-            let end = self.blocks.get(at + 1).map_or(self.entries.len(), |next| next.entry);
-            let entries = &self.entries[block.entry..end];
-            (0..block.count).flat_map(move |k| {
-                entries.iter().map(move |&Instance { meter, row }| Instance { meter, row: row + k * block.height })
+        self.blocks().flat_map(|(entries, count, height)| {
+            (0..count).flat_map(move |k| {
+                entries.iter().map(move |&Instance { meter, row }| Instance { meter, row: row + k * height })
             })
         })
     }

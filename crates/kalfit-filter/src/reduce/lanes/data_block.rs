@@ -8,6 +8,7 @@ use crate::reduce::gains::Gains;
 use crate::reduce::lanes::numbers::DataView;
 use crate::reduce::lanes::pass::DataPass;
 use crate::reduce::lanes::workspace::DataWorkspace;
+use crate::reduce::measured_cells::MeasuredCells;
 
 /// a, b and z - d of as many tests as lanes: number k of the test in a lane is at k × lanes + lane. Empty lanes hold
 /// zeros.
@@ -58,13 +59,10 @@ impl DataBlock {
             .for_each(|(lane_values, x)| lane_values[lane] = *x);
     }
 
-    /// Puts the values z - d of several tests into the first lanes; `cells`: (cell, d) of each value, the cell being an
-    /// index into the test's numbers.
-    pub(crate) fn put_values(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
+    /// Puts the values z - d of several tests, with these numbers, into the first lanes.
+    pub(crate) fn put_values(&mut self, numbers: &[&[f64]], cells: &MeasuredCells) {
         let lanes = self.width.lanes();
-        for (lane_values, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
-            lane_values.iter_mut().zip(numbers).for_each(|(z, numbers)| *z = numbers[cell] - d);
-        }
+        cells.write(numbers, lanes, &mut self.numbers[self.values * lanes..]);
     }
 
     /// Runs the data pass of all lanes under the gains of one design.

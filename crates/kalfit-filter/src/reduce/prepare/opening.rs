@@ -2,6 +2,7 @@
 
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instance;
+use crate::reduce::measured_cells::MeasuredCells;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::steps::StepSpan;
 use crate::reduce::subject::{Fault, ModelAt, Subject};
@@ -55,15 +56,20 @@ impl Preparer {
         Ok(constants)
     }
 
-    /// (cell, d) of each scalar measurement of the test in the work space: the measured value in the filter is the
-    /// number in the cell minus d.
-    pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
+    /// Cell and d of each scalar measurement of the test in the work space.
+    pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<MeasuredCells, Box<Fault>> {
         let width = test.widths().0;
-        let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);
+        let cell = |&Instance { meter, row }: &Instance| row * width + self.meters.column(meter);
+        let mut cells = MeasuredCells::default();
         if let Some(constants) = self.meters.known_constants() {
-            return Ok(work.instances.iter().map(|instance| (cell(instance), constants[instance.meter])).collect());
+            for (entries, count, height) in work.instances.blocks() {
+                let own = entries.iter().map(|instance| (cell(instance), constants[instance.meter]));
+                cells.push(own, count, height * width);
+            }
+        } else {
+            let constants = self.measured_constants(test, work)?;
+            cells.push(work.instances.iter().map(|instance| cell(&instance)).zip(constants), 1, 0);
         }
-        let constants = self.measured_constants(test, work)?;
-        Ok(work.instances.iter().map(cell).zip(constants).collect())
+        Ok(cells)
     }
 }

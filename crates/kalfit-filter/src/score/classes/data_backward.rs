@@ -12,7 +12,8 @@ use kalfit_lanes::{Kernel, Lanes, MAX_LANES};
 use crate::reduce::segments::SegmentedStretch;
 use crate::reduce::segments::strands::StretchData;
 use crate::reduce::{
-    Common, Design, DesignStep, Gains, Scan, Stretch, Transition, advance, at, correct_mean, innovation, with_states,
+    Common, Design, DesignStep, Gains, MeasuredCells, Scan, Stretch, Transition, advance, at, correct_mean, innovation,
+    with_states,
 };
 use crate::score::backward::{
     AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, advance_transposed, smoothing_error,
@@ -29,8 +30,7 @@ pub(super) struct ClassShared<'a> {
     pub(super) gains: &'a Gains,
     pub(super) start: &'a [f64],
     pub(super) inputs: &'a [f64],
-    /// (index of the measured cell, d) of each scalar measurement.
-    pub(super) cells: &'a [(usize, f64)],
+    pub(super) cells: &'a MeasuredCells,
     pub(super) record: &'a RecordSegments<'a>,
     pub(super) wanted: AdjointsWanted,
     /// Chain rule of the representative steps.
@@ -151,11 +151,7 @@ impl<T: Lanes> DataBackwardState<T> {
         }
         let numbers: [&[f64]; MAX_LANES] =
             std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
-        for (e, &(cell, d)) in self.e.chunks_exact_mut(T::COUNT).zip(shared.cells) {
-            for lane in 0..T::COUNT {
-                e[lane] = numbers[lane][cell] - d;
-            }
-        }
+        shared.cells.write(&numbers[..T::COUNT], T::COUNT, &mut self.e);
         self.marks.clear();
         self.cut.clear();
         let (mut at, mut input) = (Cursor::default(), 0);
