@@ -42,9 +42,10 @@
 //! whatever α is, and during a search for α these tests stay in lanes for all values of α. No bit of a result depends
 //! on what else is in the batch.
 //!
-//! Long uniform records cost little: equal steps are one stretch of the design; S, K and T are stored once from the
-//! step on at which S, K and T no longer change (settling); J then grows in closed form, and the data pass is a linear
-//! scan (scan).
+//! Long uniform records cost little: a long stretch of equal steps is cut into segments that start from known states,
+//! so that all of them share one covariance filter and their data run in lanes (segments). Shorter stretches, and rows
+//! that are wanted one by one, have gains of their own: S, K and T are stored once from the step on at which S, K and T
+//! no longer change (settling), and the data pass is a linear scan (scan).
 
 mod batch_reducer;
 mod batches;
