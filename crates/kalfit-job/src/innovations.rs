@@ -15,6 +15,7 @@ use kalfit_spec::Spec;
 use rayon::prelude::*;
 use tempfile::SpooledTempFile;
 
+use crate::tests::batch;
 use crate::work::JobWork;
 
 /// Bytes of tests that are kept, and of standard input that is kept in memory.
@@ -289,12 +290,16 @@ impl<'a, 'w> InnovationSink<'a, 'w> {
 
     /// At all of them, as long as somebody waits.
     fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), InnovationsUnavailable> {
-        for (i, batch) in tests.chunks(BATCH).enumerate() {
+        let most_rows = ROWS_OF_A_THREAD * rayon::current_num_threads();
+        let mut from = 0;
+        while from < tests.len() {
             if self.work.is_stopped() {
                 return Err(InnovationsUnavailable::Interrupted);
             }
-            self.work.share("innovations", (i * BATCH) as u64, tests.len() as u64);
-            self.look(batch);
+            self.work.share("innovations", from as u64, tests.len() as u64);
+            let end = batch(tests, from, most_rows).min(from + BATCH);
+            self.look(&tests[from..end]);
+            from = end;
         }
         Ok(())
     }
@@ -349,8 +354,10 @@ impl TestSink for InnovationSink<'_, '_> {
     }
 }
 
-/// Tests looked at together: their series of innovations are in memory at the same time.
+/// Most tests that are looked at together, and rows of them for each thread: their series of innovations are in memory at
+/// the same time.
 const BATCH: usize = 1024;
+const ROWS_OF_A_THREAD: usize = 1 << 20;
 
 fn all(
     mut looking: InnovationSink<'_, '_>,

@@ -64,8 +64,8 @@ impl SeriesKeeper {
 impl SeriesRecord {
     fn new(series: &[Innovation], model: &PhasedModel) -> SeriesRecord {
         let mut index: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-        series.iter().for_each(|one| {
-            index.entry((one.phase, one.measurement)).or_default();
+        runs(series).for_each(|(owner, _)| {
+            index.entry(owner).or_default();
         });
         index.values_mut().enumerate().for_each(|(i, place)| *place = i);
         // times may restart in each phase; step numbers do restart, so `StepCount` counts over all phases
@@ -106,6 +106,12 @@ impl StepCount {
     }
 }
 
+/// (phase, measurement) of successive innovations of one measurement, and these innovations.
+fn runs(series: &[Innovation]) -> impl Iterator<Item = ((usize, usize), &[Innovation])> {
+    let owner = |one: &Innovation| (one.phase, one.measurement);
+    series.chunk_by(move |a, b| owner(a) == owner(b)).map(move |run| (owner(&run[0]), run))
+}
+
 fn name(model: &PhasedModel, (phase, measurement): (usize, usize)) -> String {
     let of = &model.phases[phase];
     let name = &of.model.measurements[measurement].name;
@@ -129,7 +135,9 @@ fn windows(series: &[Innovation], at: &[f64]) -> Vec<WindowRecord> {
 
 fn autocorrelations(series: &[Innovation], model: &PhasedModel) -> Vec<AutocorrelationRecord> {
     let mut channels: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
-    series.iter().for_each(|one| channels.entry((one.phase, one.measurement)).or_default().push(one.standardised));
+    runs(series).for_each(|(owner, run)| {
+        channels.entry(owner).or_default().extend(run.iter().map(|one| one.standardised));
+    });
     let of = |measurement, z: &[&[f64]]| {
         let (count, lags) = autocorrelation(z)?;
         Some(AutocorrelationRecord { measurement, count, lags })
@@ -151,13 +159,29 @@ fn autocorrelation(channels: &[&[f64]]) -> Option<(usize, Vec<f64>)> {
     if lags == 0 || largest == 0.0 || !largest.is_finite() {
         return None;
     }
-    // values are divided by the largest, so that no square overflows or vanishes
-    let product = |z: &[f64], k: usize| -> f64 {
-        z.iter().zip(z.get(k..).unwrap_or(&[])).map(|(a, b)| (a / largest) * (b / largest)).sum()
-    };
-    let sum = |k: usize| channels.iter().map(|z| product(z, k)).sum::<f64>();
-    let square = sum(0);
-    Some((count, (1..=lags).map(|k| rounded(sum(k) / square)).collect()))
+    let mut sums = vec![NO_SUM; 1 + lags];
+    for z in channels {
+        // values are divided by the largest, so that no square overflows or vanishes
+        let z: Vec<f64> = z.iter().map(|x| x / largest).collect();
+        sums.iter_mut().zip(lagged_products(&z, lags)).for_each(|(sum, product)| *sum += product);
+    }
+    Some((count, sums[1..].iter().map(|sum| rounded(sum / sums[0])).collect()))
+}
+
+/// The sum of no numbers, which changes no number that is added, zeros of either sign included.
+const NO_SUM: f64 = -0.0;
+
+/// Σ_t z_t z_{t+k} for k = 0 … `lags`, all in one pass: each sum is in the order of t.
+fn lagged_products(z: &[f64], lags: usize) -> Vec<f64> {
+    let mut sums = vec![NO_SUM; 1 + lags];
+    for window in z.windows(1 + lags) {
+        sums.iter_mut().zip(window).for_each(|(sum, later)| *sum += window[0] * later);
+    }
+    let rest = &z[z.len().saturating_sub(lags)..];
+    for (t, earlier) in rest.iter().enumerate() {
+        sums.iter_mut().zip(&rest[t..]).for_each(|(sum, later)| *sum += earlier * later);
+    }
+    sums
 }
 
 #[cfg(test)]

@@ -7,15 +7,16 @@
 //! in square roots, because Σ may be singular, zero or huge. For tests that do not need square roots, [`PhaseFilters`]
 //! is faster.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use nalgebra::{DMatrix, DVector};
 
-use crate::innovations::innovation::Innovation;
+use crate::innovations::change::Change;
 use crate::innovations::law::EnteringLaw;
 use crate::innovations::phase_prior::PhasePrior;
 use crate::innovations::plain::{PhaseFilters, PhaseWorkspace};
 use crate::innovations::rows;
-use crate::innovations::rows::Figures;
-use crate::innovations::series::Innovations;
+use crate::innovations::rows::{Figures, ListedInnovation};
 use crate::reduce::{
     Gains, GatheredCells, PhasedReducer, PhasedWork, ReduceError, ReduceErrorKind, ReductionRef, Terminal, Workspace,
     refuse,
@@ -28,15 +29,39 @@ use kalfit_model::{Evidence, Inherited, PhasedTest};
 /// The filter of tests in phases at (α, μ, Σ).
 #[derive(Debug)]
 pub struct ChainedFilter {
-    reducer: PhasedReducer,
+    reducer: Arc<PhasedReducer>,
     phases: Vec<PhasePrior>,
-    plain: PhaseFilters,
+    plain: Arc<PhaseFilters>,
+    /// Work spaces that wait for further tests.
+    rooms: Arc<Mutex<Vec<InnovationWorkspace>>>,
 }
 
+/// (innovations, log p of the phases without innovations) of a test.
+pub(crate) type TestInnovations<T> = (Vec<T>, f64);
+
 /// Work space for a test.
+#[derive(Debug)]
 pub(crate) struct InnovationWorkspace {
     phases: PhasedWork,
     plain: Vec<PhaseWorkspace>,
+}
+
+/// A work space that goes back to those that wait.
+pub(crate) struct Room<'a> {
+    rooms: &'a Mutex<Vec<InnovationWorkspace>>,
+    space: Option<InnovationWorkspace>,
+}
+
+impl Room<'_> {
+    pub(crate) fn space(&mut self) -> &mut InnovationWorkspace {
+        self.space.as_mut().expect("it goes back at the end")
+    }
+}
+
+impl Drop for Room<'_> {
+    fn drop(&mut self) {
+        self.rooms.lock().unwrap_or_else(PoisonError::into_inner).extend(self.space.take());
+    }
 }
 
 /// A function that takes the rows of a phase, (index of the phase, rows), into the law of σ of the phase.
@@ -45,25 +70,18 @@ pub(crate) type GainsVisitor<'a> = dyn FnMut((usize, &Test), &Gains, &mut Worksp
 impl ChainedFilter {
     /// The filter at α and `initial`, which must have the shape of the model.
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<ChainedFilter, ReduceError> {
-        let reducer = PhasedReducer::new(model, alpha)?;
-        let start = |(phase, own): (&Phase, Population)| -> Result<PhasePrior, ReduceError> {
-            if !symmetric::is_semidefinite(&own.covariance) {
-                let (least, largest) = symmetric::scaled_range(&own.covariance);
-                let kind = ReduceErrorKind::NotSemidefinite { left: least, variance: largest };
-                let what = format!("covariance of the initial state of phase `{}`", phase.name);
-                return Err(refuse(None, &what, kind));
-            }
-            Ok(PhasePrior {
-                regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
-                root: symmetric::square_root(&own.covariance),
-                covariance: own.covariance,
-                time: phase.model.clock.time,
-                filtered: phase.filter.is_some(),
-                mean: own.mean,
-            })
-        };
-        let phases = model.phases.iter().zip(initial.by_phase(model)).map(start).collect::<Result<_, _>>()?;
-        Ok(ChainedFilter { reducer, phases, plain: PhaseFilters::new(model, alpha)? })
+        let reducer = Arc::new(PhasedReducer::new(model, alpha)?);
+        let phases = priors(model, initial)?;
+        let plain = Arc::new(PhaseFilters::new(model, alpha)?);
+        Ok(ChainedFilter { reducer, phases, plain, rooms: Arc::default() })
+    }
+
+    /// The filter at the same α and another `initial`, which must have the shape of the model. Both filters share what
+    /// they find of designs.
+    pub(crate) fn at(&self, model: &PhasedModel, initial: &Population) -> Result<ChainedFilter, ReduceError> {
+        let phases = priors(model, initial)?;
+        let ChainedFilter { reducer, plain, rooms, .. } = self;
+        Ok(ChainedFilter { reducer: reducer.clone(), phases, plain: plain.clone(), rooms: rooms.clone() })
     }
 
     /// The reducer of tests in phases at the same α.
@@ -71,16 +89,36 @@ impl ChainedFilter {
         &self.reducer
     }
 
-    pub(crate) fn workspace(&self) -> InnovationWorkspace {
-        InnovationWorkspace { phases: self.reducer.workspace(), plain: self.plain.workspace() }
+    /// A work space, which waits for further tests afterwards: of long tests it is much memory.
+    pub(crate) fn room(&self) -> Room<'_> {
+        let waiting = self.rooms.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let new = || InnovationWorkspace { phases: self.reducer.workspace(), plain: self.plain.workspace() };
+        Room { rooms: &self.rooms, space: Some(waiting.unwrap_or_else(new)) }
+    }
+
+    /// Column of a measurement of a phase.
+    pub(crate) fn column(&self, phase: usize, measurement: usize) -> usize {
+        self.reducer.phases()[phase].reducer.preparer().model.measurements[measurement].column
+    }
+
+    /// e/√S of a test with each of these changes; `None` where copies of the test must be filtered.
+    pub(crate) fn changed(
+        &self,
+        test: &PhasedTest,
+        changes: &[Change<'_>],
+        room: &mut InnovationWorkspace,
+    ) -> Option<Vec<Vec<f64>>> {
+        self.reducer.check(test).ok()?;
+        let (starts, carries) = (&self.phases[..], self.reducer.phases());
+        self.plain.changed(test, changes, (starts, carries), (&mut room.plain, &mut room.phases.cells))
     }
 
     /// The innovations of tests; `None` for a test without a phase that is given by rows alone.
-    pub(crate) fn innovations(
+    pub(crate) fn innovations<T: ListedInnovation>(
         &self,
         tests: &[PhasedTest],
         room: &mut InnovationWorkspace,
-    ) -> Vec<Result<Option<Innovations>, ReduceError>> {
+    ) -> Vec<Result<Option<TestInnovations<T>>, ReduceError>> {
         let carries = self.reducer.phases();
         let plain = self.plain.series(tests, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells));
         tests.iter().zip(plain).map(|(whole, series)| self.test_innovations(whole, series, &mut room.phases)).collect()
@@ -88,12 +126,12 @@ impl ChainedFilter {
 
     /// The innovations of a test: `plain`, if plain covariances gave innovations, else the result of `by_square_roots`,
     /// which decides whether an invalid covariance is only rounding, and reports any other error.
-    fn test_innovations(
+    fn test_innovations<T: ListedInnovation>(
         &self,
         whole: &PhasedTest,
-        plain: Option<Vec<Innovation>>,
+        plain: Option<Vec<T>>,
         work: &mut PhasedWork,
-    ) -> Result<Option<Innovations>, ReduceError> {
+    ) -> Result<Option<TestInnovations<T>>, ReduceError> {
         self.reducer.check(whole)?;
         let (series, other_log_density, has_innovations) = match plain {
             Some(series) => (series, 0.0, true),
@@ -102,23 +140,23 @@ impl ChainedFilter {
         if !rows::are_finite(&series) {
             return Err(refuse(Some(&whole.id), "innovations", ReduceErrorKind::NotFinite));
         }
-        Ok(has_innovations.then(|| Innovations::new(whole.id.to_string(), series, other_log_density)))
+        Ok(has_innovations.then_some((series, other_log_density)))
     }
 
     /// (innovations, log p of the phases without innovations, true if a phase has innovations) of a test, computed in
     /// square roots.
-    fn by_square_roots(
+    fn by_square_roots<T: ListedInnovation>(
         &self,
         whole: &PhasedTest,
         work: &mut PhasedWork,
-    ) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
+    ) -> Result<(Vec<T>, f64, bool), ReduceError> {
         let (mut series, mut has_innovations) = (Vec::new(), false);
         let other_log_density = self.through(whole, work, &mut |(at, rows), gains, work, law| {
             let take = |e: f64, weight: f64, sensitivity: &[f64]| {
                 let (value, variance) = law.take(e, sensitivity, weight);
                 Figures { value, variance, standardised: value / variance.sqrt() }
             };
-            series.extend(rows::series((at, rows, self.phases[at].time), gains, work, take));
+            series.extend(rows::series::<T>((at, rows, self.phases[at].time), gains, work, take));
             has_innovations = true;
         })?;
         Ok((series, other_log_density, has_innovations))
@@ -186,6 +224,27 @@ impl ChainedFilter {
         *log_density += absorb(reduction.view(), &mut law);
         Ok(FilteredPhase { law: law.posterior(), terminal: part.into_piece().terminal })
     }
+}
+
+/// The priors of the phases.
+fn priors(model: &PhasedModel, initial: &Population) -> Result<Vec<PhasePrior>, ReduceError> {
+    let prior = |(phase, own): (&Phase, Population)| -> Result<PhasePrior, ReduceError> {
+        if !symmetric::is_semidefinite(&own.covariance) {
+            let (least, largest) = symmetric::scaled_range(&own.covariance);
+            let kind = ReduceErrorKind::NotSemidefinite { left: least, variance: largest };
+            let what = format!("covariance of the initial state of phase `{}`", phase.name);
+            return Err(refuse(None, &what, kind));
+        }
+        Ok(PhasePrior {
+            regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
+            root: symmetric::square_root(&own.covariance),
+            covariance: own.covariance,
+            time: phase.model.clock.time,
+            filtered: phase.filter.is_some(),
+            mean: own.mean,
+        })
+    };
+    model.phases.iter().zip(initial.by_phase(model)).map(prior).collect()
 }
 
 /// A phase after its measurements have been taken in.

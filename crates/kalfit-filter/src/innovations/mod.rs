@@ -18,6 +18,7 @@
 //! earlier phases.
 
 mod chained;
+mod change;
 mod channels;
 mod innovation;
 mod law;
@@ -29,6 +30,7 @@ mod whiteness;
 
 use rayon::prelude::*;
 
+pub use change::Change;
 pub use innovation::Innovation;
 pub use series::{Innovations, Part, Summary};
 pub use whiteness::Whiteness;
@@ -36,9 +38,13 @@ pub use whiteness::Whiteness;
 pub use chained::ChainedFilter;
 pub use law::EnteringLaw;
 
+use crate::innovations::rows::ListedInnovation;
 use crate::reduce::{ReduceError, check_shape, chunk_size, refuse};
 use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
+
+/// Changed copies of a test that one thread filters together.
+const MAX_COPIES: usize = 8;
 
 /// Innovations of each test, in the order of the tests; `None` for a test whose phases are all given by estimates or
 /// reductions, which no longer contain the measurements. A phase with a given filter has no innovations either:
@@ -73,14 +79,67 @@ impl InnovationFilter {
         Ok(InnovationFilter(chained.map(Box::new)))
     }
 
+    /// The filter at the same α and another `initial`. Both filters share what they find of designs.
+    ///
+    /// # Errors
+    /// As [`InnovationFilter::new`].
+    pub fn at(&self, model: &PhasedModel, initial: &Population) -> Result<InnovationFilter, ReduceError> {
+        check_shapes(model, initial)?;
+        let chained = self.0.as_ref().map(|filter| filter.at(model, initial)).transpose()?;
+        Ok(InnovationFilter(chained.map(Box::new)))
+    }
+
     /// Innovations of each test, or the error of the test, in the order of the tests; `None` for a test without
     /// innovations. The results depend neither on batches nor on threads.
     pub fn run(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Innovations>, ReduceError>> {
+        self.each(tests, |test, series, other_log_density| {
+            Innovations::new(test.id.to_string(), series, other_log_density)
+        })
+    }
+
+    /// As [`InnovationFilter::run`], without the summaries.
+    pub fn series(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Vec<Innovation>>, ReduceError>> {
+        self.each(tests, |_, series, _| series)
+    }
+
+    /// As [`InnovationFilter::run`], e/√S alone.
+    pub fn standardised(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Vec<f64>>, ReduceError>> {
+        self.each(tests, |_, series, _| series)
+    }
+
+    /// As [`InnovationFilter::standardised`], of a test with each of these changes; `None` where the innovations cannot
+    /// be had. A long test is evaluated once for several changes.
+    pub fn changed(&self, test: &PhasedTest, changes: &[Change<'_>]) -> Vec<Option<Vec<f64>>> {
+        let Some(filter) = &self.0 else { return changes.iter().map(|_| None).collect() };
+        let size = changes.len().div_ceil(rayon::current_num_threads()).clamp(1, MAX_COPIES);
+        let of_some = |changes: &[Change<'_>]| -> Vec<Option<Vec<f64>>> {
+            if let Some(found) = filter.changed(test, changes, filter.room().space()) {
+                return found.into_iter().map(|series| rows::are_finite(&series).then_some(series)).collect();
+            }
+            let copy = |change: &Change<'_>| change.copy(test, filter.column(change.phase, change.measurement));
+            let copies: Vec<PhasedTest> = changes.iter().map(copy).collect();
+            self.standardised(&copies).into_iter().map(|found| found.ok().flatten()).collect()
+        };
+        changes.par_chunks(size).flat_map_iter(of_some).collect()
+    }
+
+    /// What `finish` makes of (test, innovations, log p of the phases without innovations), for each test.
+    fn each<T: ListedInnovation, R: Send>(
+        &self,
+        tests: &[PhasedTest],
+        finish: impl Fn(&PhasedTest, Vec<T>, f64) -> R + Sync,
+    ) -> Vec<Result<Option<R>, ReduceError>> {
         let Some(filter) = &self.0 else { return tests.iter().map(|_| Ok(None)).collect() };
         let rows = tests.iter().map(PhasedTest::row_count).sum();
-        let batches: Vec<Vec<Result<Option<Innovations>, ReduceError>>> = tests
+        let finished = |(test, found): (&PhasedTest, Result<Option<(Vec<T>, f64)>, ReduceError>)| {
+            Ok(found?.map(|(series, other_log_density)| finish(test, series, other_log_density)))
+        };
+        let batches: Vec<Vec<Result<Option<R>, ReduceError>>> = tests
             .par_chunks(chunk_size(tests.len(), rows))
-            .map_init(|| filter.workspace(), |room, tests| filter.innovations(tests, room))
+            .map_init(
+                || filter.room(),
+                |room, tests| tests.iter().zip(filter.innovations(tests, room.space())).map(finished).collect(),
+            )
             .collect();
         batches.into_iter().flatten().collect()
     }

@@ -8,15 +8,16 @@
 //! ```
 //!
 //! Tests are filtered in lanes, phase after phase, with the same bits whatever else is in the batch. Tests that are
-//! better filtered one at a time share the covariance pass of their design.
+//! better filtered apart share the covariance pass of their design; successive ones that differ only in measured values
+//! and covariates are evaluated once, and their data passes run in lanes.
 
 use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
 
-use crate::innovations::innovation::Innovation;
+use crate::innovations::change::Change;
 use crate::innovations::phase_prior::PhasePrior;
 use crate::innovations::rows;
-use crate::innovations::rows::Figures;
+use crate::innovations::rows::{Figures, ListedInnovation};
 use crate::reduce::{
     BatchWorkspace, EnteringMoments, Gains, GatheredCells, PhaseReducer, ReduceError, Reducer, Skeleton, Terminal,
     Workspace,
@@ -24,6 +25,10 @@ use crate::reduce::{
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Phase, PhasedModel};
 use kalfit_model::{Evidence, Inherited, PhasedTest};
+
+/// Largest number of scalar measurements of a test that is filtered beside others: values and innovations are in memory
+/// for every lane.
+const MAX_ROWS_IN_LANES: usize = 1 << 22;
 
 /// The filters of the phases.
 #[derive(Debug)]
@@ -53,14 +58,25 @@ pub(super) struct PhaseWorkspace {
 }
 
 /// The result of a phase: (innovations, last state if another phase follows).
-type PhaseResult = (Vec<Innovation>, Option<Terminal>);
+type PhaseResult<T> = (Vec<T>, Option<Terminal>);
 
 /// A test on its way through the phases.
-#[derive(Debug, Default)]
-struct Track {
-    series: Vec<Innovation>,
+#[derive(Debug)]
+struct Track<T> {
+    series: Vec<T>,
     /// The last state of the phase before.
     before: Option<Terminal>,
+}
+
+/// A test that is filtered apart from the batch.
+struct TestApart<'a> {
+    rows: &'a Test,
+    /// Place among the tests of the batch.
+    place: usize,
+    /// The last state of the phase before.
+    before: Option<Terminal>,
+    /// True if the test differs from the one before only in measured values and covariates.
+    is_replicate: bool,
 }
 
 /// A phase of a batch of tests, and for each test the rows of the phase; `None` for a test that lacks the phase or has
@@ -93,23 +109,68 @@ impl PhaseFilters {
 
     /// The innovations of tests; `None` for a test with a phase that is given otherwise than by rows, needs square
     /// roots or fails.
-    pub(super) fn series(
+    pub(super) fn series<T: ListedInnovation>(
         &self,
         tests: &[PhasedTest],
         (starts, carries): (&[PhasePrior], &[PhaseReducer]),
         (scratch, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
-    ) -> Vec<Option<Vec<Innovation>>> {
+    ) -> Vec<Option<Vec<T>>> {
         let is_plain_phase =
             |(evidence, start): (&Evidence, &PhasePrior)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
-        let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(is_plain_phase).then(Track::default);
-        let mut tracks: Vec<Option<Track>> = tests.iter().map(track).collect();
+        let track = |test: &PhasedTest| {
+            let is_plain = test.phases.iter().zip(starts).all(is_plain_phase);
+            is_plain.then(|| Track { series: Vec::new(), before: None })
+        };
+        let mut tracks: Vec<Option<Track<T>>> = tests.iter().map(track).collect();
         for (at, (phase_filter, scratch)) in self.phases.iter().zip(scratch).enumerate() {
-            let rows = |(test, track): (_, &Option<Track>)| rows_of(test, at).filter(|_| track.is_some());
+            let rows = |(test, track): (_, &Option<Track<T>>)| rows_of(test, at).filter(|_| track.is_some());
             let rows: Vec<Option<&Test>> = tests.iter().zip(&tracks).map(rows).collect();
             let phase_batch = PhaseBatch { at, phase_filter, time: starts[at].time, rows };
             phase_batch.run((&starts[at], &carries[at]), &mut tracks, (scratch, cells));
         }
         tracks.into_iter().map(|track| track.map(|track| track.series)).collect()
+    }
+}
+
+impl PhaseFilters {
+    /// e/√S of a test with each of these changes; `None` for a test that is not filtered alone, in one phase without
+    /// square roots.
+    pub(super) fn changed(
+        &self,
+        test: &PhasedTest,
+        changes: &[Change<'_>],
+        (starts, carries): (&[PhasePrior], &[PhaseReducer]),
+        (scratch, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
+    ) -> Option<Vec<Vec<f64>>> {
+        let ([phase_filter], [start], [carry]) = (&self.phases[..], starts, carries) else { return None };
+        let rows = rows_of(test, 0).filter(|_| !start.filtered)?;
+        let PhaseWorkspace { work, unused_skeletons, .. } = scratch.first_mut()?;
+        let preparer = phase_filter.reducer.preparer();
+        let mut skeleton = unused_skeletons.pop().unwrap_or_default();
+        let is_in_batch = preparer.skeleton(rows, 0, work, &mut skeleton);
+        unused_skeletons.push(skeleton);
+        // without a mask a measured value is a sum of several cells
+        if is_in_batch || preparer.cell_mask.is_none() {
+            return None;
+        }
+        phase_filter.prepare(rows, (start, carry), None, (work, cells))?;
+        let measured_cells = preparer.measured_cells(rows, work).ok()?;
+        let series = |gains: &Gains, work: &mut Workspace| {
+            let unchanged = work.data.values.clone();
+            let of = |change: &Change<'_>| {
+                let Workspace { data, instances, .. } = &mut *work;
+                data.values.clone_from(&unchanged);
+                for (value, (instance, &(cell, d))) in data.values.iter_mut().zip(instances.iter().zip(&measured_cells))
+                {
+                    if instance.meter == change.measurement {
+                        *value = (change.value)(instance.row, rows.all_numbers()[cell]) - d;
+                    }
+                }
+                rows::series((0, rows, None), gains, work, |e, weight, _| figures(e, weight))
+            };
+            gains.rotations.is_none().then(|| changes.iter().map(of).collect())
+        };
+        phase_filter.reducer.with_prepared(rows, work, series).ok()?
     }
 }
 
@@ -129,10 +190,10 @@ fn figures(value: f64, weight: f64) -> Figures {
 
 impl PhaseBatch<'_> {
     /// Filters the phase of all tests that have rows in it.
-    fn run(
+    fn run<T: ListedInnovation>(
         &self,
         of: (&PhasePrior, &PhaseReducer),
-        tracks: &mut [Option<Track>],
+        tracks: &mut [Option<Track<T>>],
         (PhaseWorkspace { work, batch_workspace, own, unused_skeletons }, cells): (
             &mut PhaseWorkspace,
             &mut GatheredCells,
@@ -142,14 +203,18 @@ impl PhaseBatch<'_> {
         let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
         let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
         let mut entering: Vec<EnteringMoments> = tests.iter().map(|_| EnteringMoments::default()).collect();
-        for (place, (&number, rows)) in numbers.iter().zip(&tests).enumerate() {
+        let mut apart: Vec<TestApart<'_>> = Vec::new();
+        for (place, (&number, &rows)) in numbers.iter().zip(&tests).enumerate() {
             let Some(track) = &mut tracks[number] else { continue };
             let before = track.before.take();
+            if apart.last().is_some_and(|last| last.place + 1 == place && self.is_replicate(rows, last.rows, work)) {
+                apart.push(TestApart { rows, place, before, is_replicate: true });
+                continue;
+            }
             let mut skeleton = unused_skeletons.pop().unwrap_or_default();
             if !reducer.preparer().skeleton(rows, place, work, &mut skeleton) {
                 unused_skeletons.push(skeleton);
-                let found = self.filter_single(rows, of, before.as_ref(), (work, cells));
-                add_to_track(&mut tracks[number], found);
+                apart.push(TestApart { rows, place, before, is_replicate: false });
                 continue;
             }
             match self.phase_filter.entering((rows, &skeleton.covariates), of, before.as_ref(), cells) {
@@ -160,13 +225,18 @@ impl PhaseBatch<'_> {
                 None => tracks[number] = None,
             }
         }
+        let lanes = work.block.lanes();
+        for set in apart.chunk_by(|_, next| next.is_replicate).flat_map(|set| set.chunks(lanes)) {
+            let found = self.filter_apart(set, of, (work, cells));
+            set.iter().zip(found).for_each(|(one, found)| add_to_track(&mut tracks[numbers[one.place]], found));
+        }
         let mut needs_square_roots = Vec::new();
         batch_workspace.pass(reducer, (&tests, own, &entering), &mut work.scratch, |skeleton, passed| {
             let place = skeleton.number;
             let found = passed.map(|passed| {
                 let row_figures = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
-                let series =
-                    rows::list_innovations((self.at, tests[place], self.time), skeleton.measured(), row_figures);
+                let mut series = Vec::with_capacity(skeleton.instances.len());
+                T::append(&mut series, (self.at, tests[place], self.time), skeleton.measured(), row_figures);
                 (series, passed.end.map(|end| end.terminal()))
             });
             // with only one phase, tests that need square roots may be filtered one at a time
@@ -183,27 +253,105 @@ impl PhaseBatch<'_> {
         }
     }
 
+    /// True if a test differs from another one, whose covariates are sound, only in measured values and covariates.
+    fn is_replicate(&self, test: &Test, other: &Test, work: &mut Workspace) -> bool {
+        let preparer = self.phase_filter.reducer.preparer();
+        let is_same = preparer.cell_mask.as_ref().is_some_and(|mask| mask.agrees_on(test, other));
+        is_same && preparer.covariates_of(other, work).is_ok()
+    }
+
+    /// Filters the phase of replicates, at most as many as lanes; `None` for a test that needs square roots or fails.
+    fn filter_apart<T: ListedInnovation>(
+        &self,
+        set: &[TestApart<'_>],
+        of: (&PhasePrior, &PhaseReducer),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
+    ) -> Vec<Option<PhaseResult<T>>> {
+        // a block has room for all lanes, however many are taken
+        let fills_lanes = 2 * set.len() > work.block.lanes();
+        let in_lanes = fills_lanes.then(|| self.filter_in_lanes(set, of, (&mut *work, &mut *cells))).flatten();
+        let mut found: Vec<Option<PhaseResult<T>>> =
+            in_lanes.map_or_else(|| set.iter().map(|_| None).collect(), |found| found.into_iter().map(Some).collect());
+        for (one, found) in set.iter().zip(&mut found) {
+            // a missing or an infinite value is reported as of a test alone
+            if found.as_ref().is_none_or(|(series, _)| !rows::are_finite(series)) {
+                *found = self.filter_single(one.rows, of, one.before.as_ref(), (work, cells));
+            }
+        }
+        found
+    }
+
+    /// Filters the phase of replicates in lanes; `None` where the tests must be filtered one at a time.
+    fn filter_in_lanes<T: ListedInnovation>(
+        &self,
+        set: &[TestApart<'_>],
+        of: (&PhasePrior, &PhaseReducer),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
+    ) -> Option<Vec<PhaseResult<T>>> {
+        let PhaseFilter { reducer, .. } = self.phase_filter;
+        let (preparer, first) = (reducer.preparer(), set[0].rows);
+        let mut entering = Vec::with_capacity(set.len());
+        for TestApart { rows, before, .. } in set {
+            preparer.covariates_of(rows, work).ok()?;
+            entering.push(self.phase_filter.entering((rows, &work.covariates), of, before.as_ref(), cells)?);
+        }
+        let variance = &entering[0].variance;
+        if entering.iter().any(|own| own.variance != *variance) {
+            return None;
+        }
+        preparer.prepare(first, work).ok()?;
+        if !(1..=MAX_ROWS_IN_LANES).contains(&work.design.rows()) {
+            return None;
+        }
+        let measured_cells = preparer.measured_cells(first, work).ok()?;
+        variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
+        let tests: Vec<&Test> = set.iter().map(|one| one.rows).collect();
+        let results_of_gains = |gains: &Gains, work: &mut Workspace| {
+            if gains.rotations.is_some() {
+                return None;
+            }
+            let Workspace { design, data, block, scratch, .. } = &mut *work;
+            block.clear(data.start.len(), data.inputs.len(), measured_cells.len());
+            for (lane, EnteringMoments { mean, .. }) in entering.iter().enumerate() {
+                let mut start = data.start.clone();
+                mean.iter().for_each(|&(place, x)| start[place] += x);
+                block.begin(lane, &start, &data.inputs);
+            }
+            let values: Vec<&[f64]> = tests.iter().map(|test| test.all_numbers()).collect();
+            block.put_values(&values, &measured_cells);
+            block.run(design, gains, scratch);
+            let series = rows::series_in_lanes((self.at, &tests, self.time), gains, work, figures);
+            let terminal = |lane: usize| {
+                let last: Vec<f64> = work.block.last(lane, &work.scratch).collect();
+                gains.terminal(&preparer.order.states, &last)
+            };
+            Some(series.into_iter().enumerate().map(|(lane, series)| (series, terminal(lane))).collect())
+        };
+        reducer.with_prepared(first, work, results_of_gains).ok()?
+    }
+
     /// Filters the phase of a single test; `None` where it needs square roots or fails.
-    fn filter_single(
+    fn filter_single<T: ListedInnovation>(
         &self,
         rows: &Test,
         of: (&PhasePrior, &PhaseReducer),
         before: Option<&Terminal>,
         (work, cells): (&mut Workspace, &mut GatheredCells),
-    ) -> Option<PhaseResult> {
+    ) -> Option<PhaseResult<T>> {
         let PhaseFilter { reducer, .. } = self.phase_filter;
-        reducer.preparer().prepare(rows, work).ok()?;
-        let EnteringMoments { mean, variance } =
-            self.phase_filter.entering((rows, &work.covariates), of, before, cells)?;
-        mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
-        variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
+        self.phase_filter.prepare(rows, of, before, (&mut *work, cells))?;
         let result_of_gains = |gains: &Gains, work: &mut Workspace| self.result_of_gains(rows, gains, work);
         reducer.with_prepared(rows, work, result_of_gains).ok()?
     }
 
     /// Innovations and last state from the gains; `None` where square-root arrays made the gains and the
     /// model has other phases.
-    fn result_of_gains(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<PhaseResult> {
+    fn result_of_gains<T: ListedInnovation>(
+        &self,
+        rows: &Test,
+        gains: &Gains,
+        work: &mut Workspace,
+    ) -> Option<PhaseResult<T>> {
         if gains.rotations.is_some() && !self.phase_filter.is_only_phase {
             return None;
         }
@@ -214,7 +362,7 @@ impl PhaseBatch<'_> {
 }
 
 /// Adds the result of a phase to the track of a test; no result ends the track.
-fn add_to_track(track: &mut Option<Track>, found: Option<PhaseResult>) {
+fn add_to_track<T>(track: &mut Option<Track<T>>, found: Option<PhaseResult<T>>) {
     match (track.as_mut(), found) {
         (Some(track), Some((found, terminal))) => {
             if track.series.is_empty() {
@@ -229,6 +377,21 @@ fn add_to_track(track: &mut Option<Track>, found: Option<PhaseResult>) {
 }
 
 impl PhaseFilter {
+    /// Evaluates the rows of a test, with the law of σ in a and P0, into the work space; `None` on an error.
+    fn prepare(
+        &self,
+        rows: &Test,
+        of: (&PhasePrior, &PhaseReducer),
+        before: Option<&Terminal>,
+        (work, cells): (&mut Workspace, &mut GatheredCells),
+    ) -> Option<()> {
+        self.reducer.preparer().prepare(rows, work).ok()?;
+        let EnteringMoments { mean, variance } = self.entering((rows, &work.covariates), of, before, cells)?;
+        mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
+        variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
+        Some(())
+    }
+
     /// Mean and covariance of σ of a test with these rows and covariates, as terms of a and P0; `None` on an error.
     fn entering(
         &self,

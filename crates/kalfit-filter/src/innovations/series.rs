@@ -50,7 +50,15 @@ pub struct Part {
 impl Innovations {
     /// The innovations of a test with the summary; the last argument is log p of phases without innovations.
     pub(crate) fn new(test: String, series: Vec<Innovation>, other_log_density: f64) -> Innovations {
-        let logs = series.iter().map(|one| (std::f64::consts::TAU * one.variance).ln()).sum::<f64>();
+        // where gains are steady, S repeats
+        let mut last = (f64::NAN, f64::NAN);
+        let log = |one: &Innovation| {
+            if one.variance != last.0 {
+                last = (one.variance, (std::f64::consts::TAU * one.variance).ln());
+            }
+            last.1
+        };
+        let logs = series.iter().map(log).sum::<f64>();
         let all = series.iter().map(|one| one.standardised);
         let summary = Summary::of(all, Whiteness::of(Channels::of(&series).each().map(|one| one.standardised)));
         Innovations { test, log_likelihood: other_log_density - 0.5 * (logs + summary.nis), summary, series }

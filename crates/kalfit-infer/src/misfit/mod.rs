@@ -34,7 +34,7 @@ use kalfit_filter::innovations::InnovationFilter;
 use kalfit_filter::reduce::ReduceError;
 use kalfit_model::{Alpha, Grouping, PhasedModel, PhasedTest, Population, TestId};
 
-use columns::Columns;
+use columns::{Columns, within_tests};
 use levels::Unit;
 use score::Score;
 use shared::SharedSteps;
@@ -150,14 +150,16 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
     let (model, tests) = probe::probed(of.model, of.tests);
     let units = levels::units(&tests, of.grouping);
     let terms = candidates(&model, of.model, &tests);
-    let columns = Columns::new(&model, of, &terms)?;
+    // the law of tests moves no covariance: all filters share the gains of designs
+    let base = InnovationFilter::new(&model, of.alpha, &within_tests(of.population, model.dimension()))?;
+    let columns = Columns::new((&model, &base), of, &terms)?;
     let (states, passes) = (most_states(&model), columns.passes());
     let least = units.iter().map(|unit| unit.rows(&tests)).min().unwrap_or(0);
     if has_too_many_states(states, least * passes) {
         return Err(NoMisfit::Work { states, passes });
     }
     let mut found = Misfit::default();
-    let Some(large) = whole(of, (&model, &tests, &units), &mut found, &mut |share| go_on(0.5 * share))? else {
+    let Some(large) = whole(of, (&model, &base), (&tests, &units), &mut found, &mut |share| go_on(0.5 * share))? else {
         return Ok(Misfit::default());
     };
     let units = chosen(units, &tests, (passes, row_passes(states)));
@@ -181,7 +183,7 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
     found.terms.extend(steps.tests(&score));
     found.terms.extend(shared.tests());
     let together = of.population.together(model.dimension(), &model.slots());
-    let filter = InnovationFilter::new(&model, of.alpha, &together)?;
+    let filter = base.at(&model, &together)?;
     let left = found.count.saturating_sub(columns.basis().ncols() + columns.regressors().len());
     found.wrong_rows = large.wrong(&filter, (&model, &tests), (found.nis, left));
     Ok(found)
@@ -191,21 +193,23 @@ pub fn misfit(of: &FittedEnsemble<'_>, go_on: &mut dyn FnMut(f64) -> bool) -> Re
 /// innovations; `None` when the check is not to go on.
 fn whole(
     of: &FittedEnsemble<'_>,
-    (model, tests, units): (&PhasedModel, &[PhasedTest], &[Unit]),
+    (model, base): (&PhasedModel, &InnovationFilter),
+    (tests, units): (&[PhasedTest], &[Unit]),
     found: &mut Misfit,
     go_on: &mut dyn FnMut(f64) -> bool,
 ) -> Result<Option<LargeInnovations>, ReduceError> {
     let columns = match of.grouping {
-        Some(_) => Columns::new(model, of, &[])?,
-        None => Columns::residuals_alone(model, of)?,
+        Some(_) => Columns::new((model, base), of, &[])?,
+        None => Columns::residuals_alone(model, base),
     };
-    let (mut large, mut values) = (LargeInnovations::default(), Vec::new());
+    let rows = tests.iter().map(PhasedTest::row_count).sum();
+    let (mut large, mut values) = (LargeInnovations::default(), Vec::with_capacity(rows));
     let all = units.len().max(1) as f64;
     for (done, batch) in batches(units, tests) {
         if !go_on(done as f64 / all) {
             return Ok(None);
         }
-        for mut unit in columns.of_units(batch, tests) {
+        for mut unit in columns.without_terms(batch, tests) {
             if let Some(grouping) = of.grouping {
                 let distances = unlike::distances(&unit, grouping, columns.roots(), columns.states());
                 found.comparisons += if unit.tests.len() == 2 { distances.len().min(1) } else { distances.len() };

@@ -1,6 +1,7 @@
 //! The model and the tests with a copy of every measured cell, so that a change of what is measured changes no input.
 
 use kalfit_model::{Column, Evidence, PhasedModel, PhasedTest, Test};
+use rayon::prelude::*;
 
 /// The model in which the m-th measurement of a phase reads the m-th of additional columns, and the tests with these
 /// columns, sorted by id. Tests in which no phase has rows are left out.
@@ -14,7 +15,7 @@ pub(super) fn probed(model: &PhasedModel, tests: &[PhasedTest]) -> (PhasedModel,
         own.measurements.iter_mut().enumerate().for_each(|(m, meter)| meter.column = first + m);
     }
     let has_rows = |test: &&PhasedTest| test.phases.iter().all(|evidence| matches!(evidence, Evidence::Rows(_)));
-    let mut tests: Vec<PhasedTest> = tests.iter().filter(has_rows).map(|test| copied(model, test, more)).collect();
+    let mut tests: Vec<PhasedTest> = tests.par_iter().filter(has_rows).map(|test| copied(model, test, more)).collect();
     // sums have the same bits in any order of the tests
     tests.sort_by(|a, b| a.id.as_str().cmp(b.id.as_str()));
     (probe, tests)
@@ -23,17 +24,10 @@ pub(super) fn probed(model: &PhasedModel, tests: &[PhasedTest]) -> (PhasedModel,
 fn copied(model: &PhasedModel, test: &PhasedTest, more: usize) -> PhasedTest {
     let phases = test.phases.iter().zip(&model.phases).map(|(evidence, phase)| {
         let Evidence::Rows(rows) = evidence else { unreachable!("tests without rows are left out") };
-        let (columns, texts) = rows.widths();
-        let mut copy = Test::new(rows.id.clone(), columns + more, texts);
-        let mut cells = vec![f64::NAN; columns + more];
-        for row in 0..rows.rows() {
-            cells[..columns].copy_from_slice(rows.numbers(row));
-            for (m, meter) in phase.model.measurements.iter().enumerate() {
-                cells[columns + m] = rows.numbers(row)[meter.column];
-            }
-            copy.push(&cells, rows.texts(row), rows.source(row));
-        }
-        Evidence::Rows(copy)
+        let copy = |own: &[f64], copies: &mut [f64]| {
+            copies.iter_mut().zip(&phase.model.measurements).for_each(|(copy, meter)| *copy = own[meter.column]);
+        };
+        Evidence::Rows(rows.widened(more, copy))
     });
     PhasedTest { id: test.id.clone(), phases: phases.collect() }
 }

@@ -18,13 +18,18 @@ use crate::misfit::{Deviation, TermTest};
 /// A direction of the mean counts as a mean of steps when this part of its square or less is left within steps.
 const BETWEEN: f64 = 1e-8;
 
-/// Sums of innovations and of the columns of mean coordinates, by step.
+/// Innovations and columns of mean coordinates, which [`StepMeans::tests`] sums up by step.
 pub(super) struct StepMeans {
-    /// By phase, measurement, and time as [`ordered`].
-    sums: BTreeMap<(usize, usize, u64), StepSum>,
+    /// (phase, measurement, time as [`ordered`]) of each row, and its time.
+    places: Vec<(StepKey, f64)>,
+    /// Residual and mean coordinates of each row, row after row.
+    values: Vec<f64>,
     mean_coordinates: usize,
 }
 
+type StepKey = (usize, usize, u64);
+
+/// Sums over the rows of a step.
 #[derive(Debug, Clone)]
 struct StepSum {
     count: usize,
@@ -36,26 +41,46 @@ struct StepSum {
 impl StepMeans {
     pub(super) fn new(columns: &Columns<'_>) -> StepMeans {
         let mean_coordinates = columns.basis().ncols() + columns.regressors().len();
-        StepMeans { sums: BTreeMap::new(), mean_coordinates }
+        StepMeans { places: Vec::new(), values: Vec::new(), mean_coordinates }
     }
 
     /// `columns`: those of [`Score::of_means`].
     pub(super) fn add(&mut self, unit: &UnitColumns, columns: &DMatrix<f64>) {
-        let q = self.mean_coordinates;
+        let width = 1 + self.mean_coordinates;
+        self.places.reserve(unit.places.len());
+        self.values.reserve(unit.places.len() * width);
         for (row, place) in unit.places.iter().enumerate() {
             let at = position(place);
-            let empty = || StepSum { count: 0, at, residual: 0.0, means: DVector::zeros(q) };
-            let sum = self.sums.entry((place.phase, place.measurement, ordered(at))).or_insert_with(empty);
-            sum.count += 1;
-            sum.residual += columns[(row, 0)];
-            (0..q).for_each(|k| sum.means[k] += columns[(row, 1 + k)]);
+            self.places.push(((place.phase, place.measurement, ordered(at)), at));
+            self.values.extend((0..width).map(|column| columns[(row, column)]));
         }
+    }
+
+    /// The sums of the steps of several rows, by phase, measurement and time. Each sum is in the order in which rows came.
+    fn sums(&self) -> Vec<(StepKey, StepSum)> {
+        let mut order: Vec<usize> = (0..self.places.len()).collect();
+        order.sort_by_key(|&row| self.places[row].0);
+        let steps = order.chunk_by(|&a, &b| self.places[a].0 == self.places[b].0).filter(|rows| rows.len() > 1);
+        steps.map(|rows| (self.places[rows[0]].0, self.sum(rows))).collect()
+    }
+
+    fn sum(&self, rows: &[usize]) -> StepSum {
+        let q = self.mean_coordinates;
+        let mut sum = StepSum { count: 0, at: self.places[rows[0]].1, residual: 0.0, means: DVector::zeros(q) };
+        for row in rows {
+            let values = &self.values[row * (1 + q)..][..1 + q];
+            sum.count += 1;
+            sum.residual += values[0];
+            sum.means.iter_mut().zip(&values[1..]).for_each(|(sum, mean)| *sum += mean);
+        }
+        sum
     }
 
     /// One test for each measurement of which tests share steps.
     pub(super) fn tests(&self, score: &Score) -> Vec<TermTest> {
         let mut by_measurement: BTreeMap<(usize, usize), Vec<&StepSum>> = BTreeMap::new();
-        for ((phase, measurement, _), sum) in self.sums.iter().filter(|(_, sum)| sum.count > 1) {
+        let sums = self.sums();
+        for ((phase, measurement, _), sum) in &sums {
             by_measurement.entry((*phase, *measurement)).or_default().push(sum);
         }
         let several = by_measurement.into_iter().filter(|(_, steps)| steps.len() > 1);

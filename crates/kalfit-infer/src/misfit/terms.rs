@@ -72,9 +72,11 @@ impl Term {
     fn of((phase, measurement): (usize, usize), kind: TermKind, values: &[f64]) -> Option<Term> {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);
-        let mut distinct = sorted.clone();
-        distinct.dedup();
-        let (&least, &largest) = (distinct.first()?, distinct.last()?);
+        let runs = sorted.chunk_by(|a, b| a == b);
+        // more tell no more than that they are many
+        let distinct: Vec<f64> = runs.take(MAX_VALUES + 1).map(|run| run[0]).collect();
+        let (&least, last) = (distinct.first()?, *sorted.last()?);
+        let largest = sorted[sorted.partition_point(|x| *x < last)];
         let size = (largest - least).abs();
         let few = distinct.len() <= MAX_VALUES;
         let limits = match kind {
@@ -169,7 +171,9 @@ fn inputs(model: &Model) -> Vec<usize> {
 fn values(tests: &[PhasedTest], phase: usize, measured: usize, of: &dyn Fn(&[f64], usize) -> f64) -> Vec<f64> {
     let rows = tests.iter().filter_map(|test| rows(test).nth(phase));
     let cells = rows.flat_map(|rows| (0..rows.rows()).map(move |row| (rows.numbers(row), row)));
-    cells.filter(|(numbers, _)| !numbers[measured].is_nan()).map(|(numbers, row)| of(numbers, row)).collect()
+    let mut found = Vec::with_capacity(tests.iter().map(PhasedTest::row_count).sum());
+    found.extend(cells.filter(|(numbers, _)| !numbers[measured].is_nan()).map(|(numbers, row)| of(numbers, row)));
+    found
 }
 
 fn varies_within(tests: &[PhasedTest], phase: usize, column: usize) -> bool {

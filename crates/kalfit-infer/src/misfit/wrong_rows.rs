@@ -8,8 +8,9 @@
 //! wrong first value is not taken for wrong later ones. L⁻¹ of the change of a measurement is the change of the
 //! innovations; only tests with a large innovation are looked at.
 
-use kalfit_filter::innovations::{Innovation, InnovationFilter, Innovations};
+use kalfit_filter::innovations::{Change, Innovation, InnovationFilter};
 use kalfit_model::{Evidence, PhasedModel, PhasedTest, Source, TestId};
+use rayon::prelude::*;
 
 use crate::misfit::columns::UnitColumns;
 use crate::misfit::score::FTest;
@@ -21,8 +22,6 @@ const MAX_TESTS: usize = 20;
 const LARGE: f64 = 3.0;
 /// Most measurements before and after a large innovation that are looked at.
 const MAX_DISTANCE: usize = 100;
-/// Changed copies of a test that exist at once: as many as the filter takes together.
-const COPIES: usize = 8;
 
 /// A measurement that contradicts the others of its test.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,7 +72,8 @@ impl LargeInnovations {
         self.0.truncate(MAX_TESTS);
         let test = |id: &TestId| tests.iter().find(|test| test.id == *id);
         let most = row_passes(most_states(model)) / self.0.len().max(1);
-        self.0.iter().filter_map(|(_, id, row)| most_wrong(filter, (model, test(id)?), (*row, most), whole)).collect()
+        let of_test = |(_, id, row): &(f64, TestId, usize)| most_wrong(filter, (model, test(id)?), (*row, most), whole);
+        self.0.par_iter().filter_map(of_test).collect()
     }
 }
 
@@ -86,38 +86,32 @@ fn most_wrong(
     (near, most): (usize, usize),
     (square, all): (f64, usize),
 ) -> Option<WrongRow> {
-    let base = filter.run(std::slice::from_ref(test)).pop()?.ok()??;
+    let base = filter.series(std::slice::from_ref(test)).pop()?.ok()??;
     // in a long record fewer: each takes a pass of the filter over the whole record
-    let distance = (most / (2 * base.series.len().max(1))).clamp(1, MAX_DISTANCE);
-    let looked: Vec<usize> = (near.saturating_sub(distance)..(near + distance + 1).min(base.series.len())).collect();
-    let size = |at: usize| base.series[at].variance.sqrt();
-    let rows_of = rows_of(&base.series, model, test)?;
-    let changed = |at: &usize| {
-        let (place, mut other) = (&base.series[*at], test.clone());
-        if let Some(Evidence::Rows(rows)) = other.phases.get_mut(place.phase) {
-            let column = model.phases[place.phase].model.measurements[place.measurement].column;
-            rows.set_number(rows_of[*at], column, rows.numbers(rows_of[*at])[column] + size(*at));
-        }
-        other
+    let distance = (most / (2 * base.len().max(1))).clamp(1, MAX_DISTANCE);
+    let looked: Vec<usize> = (near.saturating_sub(distance)..(near + distance + 1).min(base.len())).collect();
+    let size = |at: usize| base[at].variance.sqrt();
+    let rows_of = rows_of(&base, model, test)?;
+    let change = |at: &usize| {
+        let (place, changed, size) = (&base[*at], rows_of[*at], size(*at));
+        let value = move |row: usize, value: f64| if row == changed { value + size } else { value };
+        Change { phase: place.phase, measurement: place.measurement, value: Box::new(value) }
     };
-    let scored = |(other, at): (Innovations, usize)| {
-        let changes = other.series.iter().zip(&base.series);
+    let scored = |(other, at): (Vec<f64>, usize)| {
+        let changes = other.iter().zip(&base);
         let (score, information) = changes.fold((0.0, 0.0), |(score, information), (other, base)| {
-            let change = other.standardised - base.standardised;
+            let change = other - base.standardised;
             (score + change * base.standardised, information + change * change)
         });
         let statistic = score / f64::sqrt(information);
         statistic.is_finite().then_some((statistic, information, at))
     };
-    let found = looked.chunks(COPIES).flat_map(|some| {
-        let copies: Vec<PhasedTest> = some.iter().map(changed).collect();
-        let run = filter.run(&copies).into_iter().zip(some);
-        let of_all = |other: &Innovations| other.series.len() == base.series.len();
-        let whole = run.filter_map(|(other, &at)| Some((other.ok().flatten().filter(of_all)?, at)));
-        whole.filter_map(scored).collect::<Vec<_>>()
-    });
+    let changes: Vec<Change<'_>> = looked.iter().map(change).collect();
+    let of_all = |other: &Vec<f64>| other.len() == base.len();
+    let run = filter.changed(test, &changes).into_iter().zip(looked);
+    let found = run.filter_map(|(other, at)| Some((other.filter(of_all)?, at))).filter_map(scored);
     let (statistic, information, at) = found.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))?;
-    let place = &base.series[at];
+    let place = &base[at];
     let Evidence::Rows(rows) = &test.phases[place.phase] else { return None };
     let std_dev = size(at) / information.sqrt();
     Some(WrongRow {

@@ -35,6 +35,9 @@ struct PhaseSurvey<'m> {
     twins: TwinRows,
     /// Of each measurement.
     values: Vec<ValueSurvey>,
+    /// Rows of the test that have a value, and measurements of the row: kept for their memory.
+    measured_rows: Vec<usize>,
+    measured: Vec<usize>,
 }
 
 impl<'m> DataSurvey<'m> {
@@ -97,33 +100,37 @@ impl<'m> DataSurvey<'m> {
 impl<'m> PhaseSurvey<'m> {
     fn of(phase: &'m Phase) -> PhaseSurvey<'m> {
         let values = phase.model.measurements.iter().map(|_| ValueSurvey::default()).collect();
-        PhaseSurvey { phase, times: TimeSurvey::of(&phase.model), twins: TwinRows::of(&phase.model), values }
+        let (times, twins) = (TimeSurvey::of(&phase.model), TwinRows::of(&phase.model));
+        PhaseSurvey { phase, times, twins, values, measured_rows: Vec::new(), measured: Vec::new() }
     }
 
     /// Adds the rows of a test; the number of values measured in them.
     fn add(&mut self, rows: &Test, least: &Alpha) -> usize {
         let model = &self.phase.model;
         let before: usize = self.values.iter().map(ValueSurvey::count).sum();
+        self.measured_rows.clear();
         self.times.begin();
         self.values.iter_mut().for_each(ValueSurvey::begin);
         for row in 0..rows.rows() {
             let (numbers, texts) = (rows.numbers(row), rows.texts(row));
             let step = self.times.row(numbers);
             let scope = Scope { numbers, texts, step, alpha: least };
-            let mut measured = Vec::with_capacity(model.measurements.len());
+            self.measured.clear();
             for (m, (survey, measurement)) in self.values.iter_mut().zip(&model.measurements).enumerate() {
                 let value = numbers[measurement.column];
                 let is_read = measurement.filter.as_ref().is_none_or(|f| f.evaluate(&scope).is_ok_and(|x| x != 0.0));
                 if is_read && !value.is_nan() {
                     survey.push(value, || measurement.noise_variance.evaluate(&scope).unwrap_or(0.0));
-                    measured.push(m);
+                    self.measured.push(m);
                 }
             }
-            self.times.measured(&measured);
-            self.twins.push(numbers, texts, !measured.is_empty());
+            self.times.measured(&self.measured);
+            if !self.measured.is_empty() {
+                self.measured_rows.push(row);
+            }
         }
         self.times.end();
-        self.twins.end();
+        self.twins.add(rows, &self.measured_rows);
         self.values.iter_mut().for_each(|survey| survey.end(rows.id.as_str()));
         self.values.iter().map(ValueSurvey::count).sum::<usize>() - before
     }

@@ -72,6 +72,32 @@ impl RowStore {
         }
     }
 
+    /// The rows `rows` with `more` further numeric cells in each row, which `write` writes from the cells of the row.
+    pub(super) fn widened(
+        &self,
+        rows: Range<usize>,
+        more: usize,
+        mut write: impl FnMut(&[f64], &mut [f64]),
+    ) -> RowStore {
+        let mut wide = RowStore::new(self.columns + more, self.text_columns);
+        wide.numbers.reserve_exact(rows.len() * wide.columns);
+        for row in rows.clone() {
+            let own = self.numbers(row..row + 1);
+            wide.numbers.extend_from_slice(own);
+            let end = wide.numbers.len();
+            wide.numbers.resize(end + more, f64::NAN);
+            write(own, &mut wide.numbers[end..]);
+        }
+        wide.texts.extend_from_slice(self.texts(rows.clone()));
+        let mut start = rows.start;
+        while start < rows.end {
+            wide.sources.push((start - rows.start, self.source(start)));
+            start = self.run_end(start);
+        }
+        wide.rows = rows.len();
+        wide
+    }
+
     /// Frees unused memory of each list, if more than an eighth of the used memory is unused.
     pub(super) fn shrink(&mut self) {
         shrink(&mut self.numbers);

@@ -73,6 +73,13 @@ impl Test {
         Test { rows: rows.min(self.rows), ..self.clone() }
     }
 
+    /// The test with `more` further numeric columns, which `write` writes for each row from the cells of the row.
+    #[must_use]
+    pub fn widened(&self, more: usize, write: impl FnMut(&[f64], &mut [f64])) -> Test {
+        let records = Arc::new(self.records.widened(self.first..self.first + self.rows, more, write));
+        Test { id: self.id.clone(), records, first: 0, rows: self.rows }
+    }
+
     /// The records of this test for writing, copied first if another test shares the records or if the records contain
     /// rows of another test.
     fn unshared_records(&mut self) -> &mut RowStore {
@@ -186,6 +193,13 @@ mod tests {
             rows.for_each(|((numbers, texts), k)| one_by_one.push(numbers, texts, source(k)));
         }
         assert_eq!(together, one_by_one);
+        let wide = together.widened(1, |own, more| more[0] = own[1]);
+        let mut wide_by_row = Test::new("t", 3, 1);
+        for row in 0..together.rows() {
+            let &[first, second] = together.numbers(row) else { panic!("two cells") };
+            wide_by_row.push(&[first, second, second], together.texts(row), together.source(row));
+        }
+        assert_eq!(wide, wide_by_row);
         for rows in [0..10, 2..7, 4..5, 9..10, 3..3] {
             let (mut parts, mut whole) = (Test::new("t", 2, 1), Test::new("t", 2, 1));
             rows.clone().for_each(|row| parts.push(together.numbers(row), together.texts(row), together.source(row)));

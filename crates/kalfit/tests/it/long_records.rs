@@ -1,11 +1,11 @@
 //! Long uniform records: equal steps kept once and gains frozen where they have converged change nothing but the cost.
 
-use kalfit::innovations::innovations;
+use kalfit::innovations::{Change, InnovationFilter, innovations};
 use kalfit::model::{
     Clock, Column, CovarianceStructure, Initial, Linear, MeanStructure, Measurement, Motion, Operator, State,
 };
-use kalfit::reduce::{Path, Plain, Reducer, ReductionRef, StepMatrices};
-use kalfit::{Alpha, Expression, Model, Population, Source, Test};
+use kalfit::reduce::{Evidence, Path, PhasedTest, Plain, Reducer, ReductionRef, StepMatrices};
+use kalfit::{Alpha, Expression, Model, PhasedModel, Population, Source, Test};
 use kalfit_fixtures::near;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -199,5 +199,80 @@ fn innovations_of_a_long_record_have_the_likelihood_of_its_reduction() {
         assert!((found / expected - 1.0).abs() < 1e-10, "{name}: {found} against {expected}");
         let last = ROWS - if model.measurements.len() == 2 { 1 } else { 2 };
         assert_eq!(steps, Some((last, Some(last as f64 / 100.0))), "{name}");
+    }
+}
+
+/// A filter of a model that knows the estimated states to a standard deviation of 1/2.
+fn filter_of(model: Model) -> InnovationFilter {
+    let p = model.estimated.len();
+    let covariance = DMatrix::from_diagonal_element(p, p, 0.25);
+    let population = Population { mean: vec![3.0; p], coefficients: Vec::new(), covariance };
+    let model: PhasedModel = model.into();
+    let filter = InnovationFilter::new(&model, &Alpha::default(), &population).expect("sound");
+    let other = Population { mean: vec![-7.0; p], ..population.clone() };
+    let elsewhere = filter.at(&model, &other).expect("sound");
+    elsewhere.at(&model, &population).expect("sound")
+}
+
+/// Records that differ in measured values alone.
+fn alike(records: usize, rows: usize) -> Vec<PhasedTest> {
+    let one = |number: usize| {
+        let mut test = record(rows, |k| k == 400);
+        for row in 0..rows {
+            let wave = (row as f64 / 90.0 + number as f64).sin();
+            [1, 2].iter().for_each(|&column| test.set_number(row, column, test.numbers(row)[column] + wave));
+        }
+        test.id = format!("r{number}").into();
+        test.into()
+    };
+    (0..records).map(one).collect()
+}
+
+#[test]
+fn records_side_by_side_have_the_innovations_of_each_alone() {
+    let mut tests = alike(60, 1200);
+    if let Some(Evidence::Rows(rows)) = tests[17].phases.get_mut(0) {
+        rows.set_number(900, 1, f64::INFINITY);
+    }
+    for (name, model) in models() {
+        let filter = filter_of(model.clone());
+        let together = filter.run(&tests);
+        for (number, (test, found)) in tests.iter().zip(&together).enumerate() {
+            let alone = filter_of(model.clone()).run(std::slice::from_ref(test)).remove(0);
+            assert_eq!(*found, alone, "{name}, record {number}");
+        }
+        let bare = filter.standardised(&tests);
+        let all = |found: &kalfit::innovations::Innovations| -> Vec<f64> {
+            found.series.iter().map(|one| one.standardised).collect()
+        };
+        for (found, bare) in together.iter().zip(&bare) {
+            let found = found.as_ref().map(|found| found.as_ref().map(all));
+            assert_eq!(found.as_ref().ok(), bare.as_ref().ok(), "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_changed_record_has_the_innovations_of_its_changed_copy() {
+    for (name, model) in models() {
+        for rows in [30, 3000] {
+            let test = record(rows, |k| k == 20);
+            let mut copies = vec![test.clone(), test.clone()];
+            copies[0].set_number(11, 1, test.numbers(11)[1] + 0.5);
+            (0..rows).for_each(|row| copies[1].set_number(row, 1, 2.0 * test.numbers(row)[1]));
+            let copies: Vec<PhasedTest> = copies.into_iter().map(PhasedTest::from).collect();
+            let changes = [
+                Change {
+                    phase: 0,
+                    measurement: 0,
+                    value: Box::new(|row, value| if row == 11 { value + 0.5 } else { value }),
+                },
+                Change { phase: 0, measurement: 0, value: Box::new(|_, value| 2.0 * value) },
+            ];
+            let filter = filter_of(model.clone());
+            let expected: Vec<Option<Vec<f64>>> =
+                filter.standardised(&copies).into_iter().map(|found| found.expect("sound")).collect();
+            assert_eq!(filter.changed(&test.into(), &changes), expected, "{name}, {rows} rows");
+        }
     }
 }

@@ -55,12 +55,24 @@ fn ljung_box(z: &[f64]) -> Option<f64> {
         return None;
     }
     // relative to the largest |z|, so that no square overflows or vanishes
-    let square: f64 = z.iter().map(|x| (x / largest).powi(2)).sum();
-    let lag = |k: usize| {
-        let product: f64 = z.iter().zip(&z[k..]).map(|(a, b)| (a / largest) * (b / largest)).sum();
-        (product / square).powi(2) / (n - k) as f64
-    };
-    Some((n * (n + 2)) as f64 * (1..=lag_count(n)).map(lag).sum::<f64>())
+    let z: Vec<f64> = z.iter().map(|x| x / largest).collect();
+    let square: f64 = z.iter().map(|x| x.powi(2)).sum();
+    let lag = |(k, product): (usize, f64)| (product / square).powi(2) / (n - k) as f64;
+    let products = lagged_products(&z, lag_count(n));
+    Some((n * (n + 2)) as f64 * (1..).zip(products).map(lag).sum::<f64>())
+}
+
+/// Σ_t z_t z_{t+k} for k = 1 … `lags`, all in one pass: each sum is in the order of t.
+fn lagged_products(z: &[f64], lags: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; lags];
+    for window in z.windows(lags + 1) {
+        sums.iter_mut().zip(&window[1..]).for_each(|(sum, later)| *sum += window[0] * later);
+    }
+    let rest = &z[z.len().saturating_sub(lags)..];
+    for (t, earlier) in rest.iter().enumerate() {
+        sums.iter_mut().zip(&rest[t + 1..]).for_each(|(sum, later)| *sum += earlier * later);
+    }
+    sums
 }
 
 #[cfg(test)]
