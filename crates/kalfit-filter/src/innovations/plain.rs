@@ -160,7 +160,8 @@ impl PhaseFilters {
             let of = |change: &Change<'_>| {
                 let Workspace { data, instances, .. } = &mut *work;
                 data.values.clone_from(&unchanged);
-                for (value, (instance, &(cell, d))) in data.values.iter_mut().zip(instances.iter().zip(&measured_cells))
+                for (value, (instance, (cell, d))) in
+                    data.values.iter_mut().zip(instances.iter().zip(measured_cells.iter()))
                 {
                     if instance.meter == change.measurement {
                         *value = (change.value)(instance.row, rows.all_numbers()[cell]) - d;

@@ -33,6 +33,15 @@ impl MeasuredCells {
         self.len
     }
 
+    /// Cell and d of each scalar measurement, in order.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, f64)> {
+        let starts = std::iter::once(0).chain(self.blocks.iter().map(|block| block.end));
+        starts.zip(&self.blocks).flat_map(|(first, &RepeatedCells { end, count, stride })| {
+            let entries = &self.entries[first..end];
+            (0..count).flat_map(move |k| entries.iter().map(move |&(cell, d)| (cell + k * stride, d)))
+        })
+    }
+
     /// Writes the values of tests to `out`, that of measurement k of test t to k × `lanes` + t. `numbers`: all numbers
     /// of each test.
     pub(crate) fn write(&self, numbers: &[&[f64]], lanes: usize, out: &mut [f64]) {
@@ -74,6 +83,8 @@ mod tests {
         let numbers: [Vec<f64>; 2] = [(0..12).map(f64::from).collect(), (20..32).map(f64::from).collect()];
         let expected = [0.5, 2.5, 4.5, 6.0, 6.0, 9.0, 9.0, 1.0];
         assert_eq!(cells.len(), expected.len());
+        assert!(cells.iter().zip(expected).all(|((cell, d), value)| numbers[0][cell] - d == value));
+        assert_eq!(cells.iter().count(), expected.len());
         for lanes in [1, 2, 4] {
             let tests: Vec<&[f64]> = numbers.iter().take(lanes).map(|numbers| &**numbers).collect();
             let mut out = vec![0.0; lanes * expected.len()];
