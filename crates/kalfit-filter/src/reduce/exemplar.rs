@@ -103,7 +103,7 @@ impl DesignExemplar {
         let gains = class.gains().as_ref().expect("exemplars have gains");
         work.block.set_width(gains.lanes_of_tests());
         let (lanes, mut exceptional) = (work.block.lanes(), Vec::new());
-        work.block.clear(start.len(), inputs.len(), cells.len());
+        work.block.reshape(start.len(), inputs.len(), cells.len());
         (0..lanes).for_each(|lane| work.block.begin(lane, start, inputs));
         let mut values = Vec::with_capacity(lanes);
         for some in numbers.chunks(lanes) {

@@ -1,8 +1,10 @@
-//! Steps of long records, determined once for all values of α, since steps depend on times alone.
+//! What all values of α share of one ensemble: steps of long records, determined once, since steps depend on times alone;
+//! and memory for the data of long records.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::reduce::data::Data;
 use crate::reduce::steps::StepSpan;
 use kalfit_model::{Test, TestId};
 
@@ -13,7 +15,18 @@ const MIN_ROWS_PER_SPAN: usize = 16;
 
 /// The steps of the long records of one ensemble, whose tests have different ids.
 #[derive(Debug, Default)]
-pub(crate) struct KnownSteps(Mutex<HashMap<TestId, KnownSpans>>);
+pub(crate) struct KnownSteps {
+    spans: Mutex<HashMap<TestId, KnownSpans>>,
+    /// Memory that waits for the data of further tests: fresh memory of long records costs as much as filling it.
+    spare: Mutex<Vec<SpareMemory>>,
+}
+
+/// Memory for the data of a test, and of a block of tests in lanes.
+#[derive(Debug, Default)]
+pub(crate) struct SpareMemory {
+    pub(crate) data: Data,
+    pub(crate) block: Vec<f64>,
+}
 
 #[derive(Debug)]
 struct KnownSpans {
@@ -23,13 +36,32 @@ struct KnownSpans {
     spans: Arc<Vec<StepSpan>>,
 }
 
+impl SpareMemory {
+    /// Whether the memory is that of long records.
+    fn is_long(&self) -> bool {
+        self.data.values.capacity().max(self.block.capacity()) >= MIN_LONG_ROWS
+    }
+}
+
 impl KnownSteps {
+    /// Memory that waits, or none.
+    pub(crate) fn take_spare(&self) -> SpareMemory {
+        self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    /// Lets memory wait for further tests. As much waits as was in use at one time.
+    pub(crate) fn give_back(&self, memory: SpareMemory) {
+        if memory.is_long() {
+            self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(memory);
+        }
+    }
+
     /// The steps of a test with the time `initial` of x_0; `None` if the steps are not known.
     pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
         if test.rows() < MIN_LONG_ROWS {
             return None;
         }
-        let known_records = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let known_records = self.spans.lock().unwrap_or_else(PoisonError::into_inner);
         let known = known_records.get(&test.id)?;
         (known.rows == test.rows() && known.initial == initial.map(f64::to_bits)).then(|| known.spans.clone())
     }
@@ -39,7 +71,7 @@ impl KnownSteps {
         if test.rows() >= MIN_LONG_ROWS && MIN_ROWS_PER_SPAN * spans.len() <= test.rows() {
             let initial = initial.map(f64::to_bits);
             let known = KnownSpans { rows: test.rows(), initial, spans: Arc::new(spans.to_vec()) };
-            self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(test.id.clone(), known);
+            self.spans.lock().unwrap_or_else(PoisonError::into_inner).insert(test.id.clone(), known);
         }
     }
 }

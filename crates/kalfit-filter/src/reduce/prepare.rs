@@ -12,7 +12,7 @@ use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::{Instance, Instances};
-use crate::reduce::known_steps::KnownSteps;
+use crate::reduce::known_steps::{KnownSteps, SpareMemory};
 use crate::reduce::lanes::{DataBlock, DataWorkspace};
 use crate::reduce::motion::{Filled, MotionPlan, Moves};
 use crate::reduce::observe::{Meters, Observed};
@@ -123,6 +123,17 @@ pub struct Workspace {
     last: Option<LastMoves>,
     /// Unshared transitions whose memory is reused.
     reusable: Vec<Arc<Transition>>,
+    /// Where the memory of the data goes afterwards.
+    steps: Option<Arc<KnownSteps>>,
+}
+
+impl Drop for Workspace {
+    fn drop(&mut self) {
+        if let Some(steps) = &self.steps {
+            let (data, block) = (std::mem::take(&mut self.data), self.block.take_memory());
+            steps.give_back(SpareMemory { data, block });
+        }
+    }
 }
 
 impl Workspace {
@@ -222,9 +233,10 @@ impl Preparer {
 
     /// An empty work space for tests of this model.
     pub fn workspace(&self) -> Workspace {
+        let SpareMemory { data, block } = self.steps.as_ref().map(|steps| steps.take_spare()).unwrap_or_default();
         Workspace {
             design: Design::new(self.order.frame.clone()),
-            data: Data::default(),
+            data,
             instances: Instances::default(),
             firsts: Vec::new(),
             constants: Vec::new(),
@@ -232,7 +244,7 @@ impl Preparer {
             covariances: None,
             gains: GainsWork::default(),
             pass: DataWorkspace::default(),
-            block: DataBlock::new(Isa::best().into()),
+            block: DataBlock::with_memory(Isa::best().into(), block),
             scratch: DataWorkspace::default(),
             spans: Vec::new(),
             whole: GatheredCells::default(),
@@ -242,6 +254,7 @@ impl Preparer {
             key: Vec::new(),
             last: None,
             reusable: Vec::new(),
+            steps: self.steps.clone(),
         }
     }
 

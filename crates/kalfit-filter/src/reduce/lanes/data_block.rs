@@ -27,6 +27,16 @@ impl DataBlock {
         DataBlock { width, numbers: Vec::new(), inputs: 0, values: 0 }
     }
 
+    /// An empty block in the memory of a list.
+    pub(crate) fn with_memory(width: Width, numbers: Vec<f64>) -> DataBlock {
+        DataBlock { width, numbers, inputs: 0, values: 0 }
+    }
+
+    /// The memory of the block, which is then empty.
+    pub(crate) fn take_memory(&mut self) -> Vec<f64> {
+        std::mem::take(&mut self.numbers)
+    }
+
     /// Width of the lanes.
     pub(crate) fn width(&self) -> Width {
         self.width
@@ -46,6 +56,12 @@ impl DataBlock {
     pub(crate) fn clear(&mut self, start: usize, inputs: usize, values: usize) {
         (self.inputs, self.values) = (start, start + inputs);
         self.numbers.clear();
+        self.numbers.resize((start + inputs + values) * self.width.lanes(), 0.0);
+    }
+
+    /// As [`DataBlock::clear`], except that any numbers may stand in the block until they are put there.
+    pub(crate) fn reshape(&mut self, start: usize, inputs: usize, values: usize) {
+        (self.inputs, self.values) = (start, start + inputs);
         self.numbers.resize((start + inputs + values) * self.width.lanes(), 0.0);
     }
 

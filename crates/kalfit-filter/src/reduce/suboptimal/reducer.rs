@@ -148,7 +148,7 @@ impl EstimateReducer {
         for (column, k) in kept.iter().enumerate() {
             (0..r).for_each(|i| start_root[(order.states[i], column)] = U[k * r + i]);
         }
-        Ok((start, start_root, work.covariates))
+        Ok((start, start_root, std::mem::take(&mut work.covariates)))
     }
 
     /// (digest of the design, conditioned design that all tests of the design share).
