@@ -36,8 +36,8 @@ pub struct ChainedFilter {
     rooms: Arc<Mutex<Vec<InnovationWorkspace>>>,
 }
 
-/// (innovations, log p of the phases without innovations) of a test.
-pub(crate) type TestInnovations<T> = (Vec<T>, f64);
+/// (innovations, log p of the phases without innovations) of a test; `None` for a test without innovations.
+pub(crate) type TestInnovations<T> = Result<Option<(Vec<T>, f64)>, ReduceError>;
 
 /// Work space for a test.
 #[derive(Debug)]
@@ -118,7 +118,7 @@ impl ChainedFilter {
         &self,
         tests: &[PhasedTest],
         room: &mut InnovationWorkspace,
-    ) -> Vec<Result<Option<TestInnovations<T>>, ReduceError>> {
+    ) -> Vec<TestInnovations<T>> {
         let carries = self.reducer.phases();
         let plain = self.plain.series(tests, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells));
         tests.iter().zip(plain).map(|(whole, series)| self.test_innovations(whole, series, &mut room.phases)).collect()
@@ -131,7 +131,7 @@ impl ChainedFilter {
         whole: &PhasedTest,
         plain: Option<Vec<T>>,
         work: &mut PhasedWork,
-    ) -> Result<Option<TestInnovations<T>>, ReduceError> {
+    ) -> TestInnovations<T> {
         self.reducer.check(whole)?;
         let (series, other_log_density, has_innovations) = match plain {
             Some(series) => (series, 0.0, true),

@@ -38,6 +38,7 @@ pub use whiteness::Whiteness;
 pub use chained::ChainedFilter;
 pub use law::EnteringLaw;
 
+use crate::innovations::chained::TestInnovations;
 use crate::innovations::rows::ListedInnovation;
 use crate::reduce::{ReduceError, check_shape, chunk_size, refuse};
 use kalfit_model::PhasedTest;
@@ -131,7 +132,7 @@ impl InnovationFilter {
     ) -> Vec<Result<Option<R>, ReduceError>> {
         let Some(filter) = &self.0 else { return tests.iter().map(|_| Ok(None)).collect() };
         let rows = tests.iter().map(PhasedTest::row_count).sum();
-        let finished = |(test, found): (&PhasedTest, Result<Option<(Vec<T>, f64)>, ReduceError>)| {
+        let finished = |(test, found): (&PhasedTest, TestInnovations<T>)| {
             Ok(found?.map(|(series, other_log_density)| finish(test, series, other_log_density)))
         };
         let batches: Vec<Vec<Result<Option<R>, ReduceError>>> = tests
