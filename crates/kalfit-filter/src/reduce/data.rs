@@ -29,6 +29,23 @@ impl Data {
         self.sizes.push(z.abs() + constant.abs());
     }
 
+    /// Appends the measured values of rows. `columns`: column and constant d of each measurement of a row.
+    pub(crate) fn take_rows<'a>(
+        &mut self,
+        rows: impl ExactSizeIterator<Item = &'a [f64]> + Clone,
+        columns: &[(usize, f64)],
+    ) {
+        if let &[(column, constant)] = columns {
+            // one value a row, for which the length of the list is known
+            self.values.extend(rows.clone().map(|numbers| numbers[column] - constant));
+            self.sizes.extend(rows.map(|numbers| numbers[column].abs() + constant.abs()));
+            return;
+        }
+        for numbers in rows {
+            columns.iter().for_each(|&(column, constant)| self.take(numbers[column], constant));
+        }
+    }
+
     pub(crate) fn clear(&mut self) {
         self.start.clear();
         self.inputs.clear();

@@ -25,7 +25,7 @@ use crate::reduce::terminal::TerminalRoot;
 /// `states`: the model's state at each position in kernel order, given if the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let (p, r) = (design.frame.p, design.frame.r);
-    let cut = if work.settling.off { Vec::new() } else { prefixes(design) };
+    let cut = if work.settling.off { Vec::new() } else { prefixes(design, &work.prefixes) };
     let pass = |prefixes: &[Option<Arc<Prefix>>], work: &mut GainsWork| {
         Isa::best().alone().run(DesignPass { design, prefixes, work })?.finish((r, p), design.rows())
     };

@@ -45,6 +45,9 @@ pub(crate) struct Correlation {
     pub(crate) row: usize,
 }
 
+/// Number of rows whose values are appended at a time.
+const ROWS_AT_ONCE: usize = 1 << 10;
+
 impl Meters {
     /// The measurements of a model at α. `place`: kernel index of each state.
     pub(crate) fn new(at: &ModelAt<'_>, place: &[usize]) -> Result<Meters, Box<Fault>> {
@@ -247,16 +250,15 @@ impl Meters {
             };
             columns.iter().all(as_before)
         };
-        let appended = rows.clone().take_while(|numbers| continues(numbers)).count();
-        let rows = rows.take(appended);
-        if let [(column, constant)] = taken[..] {
-            // one value a row, for which the length of the list is known
-            out.data.values.extend(rows.clone().map(|numbers| numbers[column] - constant));
-            out.data.sizes.extend(rows.map(|numbers| numbers[column].abs() + constant.abs()));
-        } else {
-            for numbers in rows {
-                let taken = taken.iter().map(|&(column, constant)| (numbers[column], constant));
-                taken.for_each(|(z, constant)| out.data.take(z, constant));
+        let mut appended = 0;
+        while appended < most {
+            // so few rows that they are read from memory once
+            let some = rows.clone().skip(appended).take(ROWS_AT_ONCE);
+            let (given, taken_rows) = (some.len(), some.clone().take_while(|numbers| continues(numbers)).count());
+            out.data.take_rows(some.take(taken_rows), &taken);
+            appended += taken_rows;
+            if taken_rows < given || given == 0 {
+                break;
             }
         }
         out.instances.repeat(appended, 1);

@@ -17,7 +17,7 @@ use crate::reduce::outcome::outcome;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::segments::has_segments;
+use crate::reduce::segments::{Prefixes, has_segments};
 use crate::reduce::shared_store::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::terminal::TerminalState;
@@ -43,6 +43,7 @@ pub struct Reducer {
     classes: SharedStore<Design, Result<Gains, RootError>>,
     /// Gains of every row of designs whose long stretches are cut into segments in `classes`.
     row_classes: SharedStore<Design, Result<Gains, RootError>>,
+    prefixes: Arc<Prefixes>,
     unfrozen: bool,
     /// Whether the last states of tests are requested.
     ends: bool,
@@ -147,6 +148,7 @@ impl Reducer {
             preparer,
             classes,
             row_classes: SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES),
+            prefixes: Arc::default(),
             unfrozen: false,
             ends: false,
             paths: false,
@@ -222,6 +224,7 @@ impl Reducer {
         let mut work = self.preparer.workspace();
         work.gains.settling.off = self.unfrozen;
         work.gains.keeps_paths = self.paths;
+        work.gains.prefixes = self.prefixes.clone();
         work
     }
 

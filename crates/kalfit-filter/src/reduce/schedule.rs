@@ -2,11 +2,12 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::reduce::design::Stretch;
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::moment_path::MomentPath;
-use crate::reduce::segments::SegmentedStretch;
+use crate::reduce::segments::{Prefixes, SegmentedStretch};
 use crate::reduce::settling::SteadyStateMonitor;
 use crate::reduce::sums::InformationSums;
 
@@ -37,6 +38,8 @@ pub(crate) struct GainsWork {
     pub(crate) keeps_paths: bool,
     /// Whether gains of every row are needed, so that no stretch is cut into segments.
     pub(crate) every_row: bool,
+    /// The prefixes of segments at this α.
+    pub(crate) prefixes: Arc<Prefixes>,
 }
 
 impl GainSchedule {

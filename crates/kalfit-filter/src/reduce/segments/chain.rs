@@ -12,7 +12,7 @@ pub(crate) struct ChainSums {
     pub(crate) y: Vec<f64>,
     /// Σ e'S⁻¹e.
     pub(crate) square: f64,
-    /// Sum of the magnitudes of what is subtracted in `square`.
+    /// Sum of the magnitudes of all terms that are subtracted in `square`.
     pub(crate) cancelled: f64,
 }
 
@@ -58,9 +58,11 @@ impl SegmentedStretch {
             let a = added(&y, -1.0, &times(&J, &g));
             let b = times(&B, &a);
             let moved = times(&P, &b);
-            let (of_reference, of_rows) = (dot(&g, &added(&y, 1.0, &a)), dot(&a, &moved));
-            sums.square += q - of_reference - of_rows;
-            sums.cancelled += of_reference.abs() + of_rows.abs();
+            sums.square += q - dot(&g, &added(&y, 1.0, &a)) - dot(&a, &moved);
+            for i in 0..N {
+                let of_row: f64 = (0..N).map(|j| (J[i][j] * g[j]).abs()).sum();
+                sums.cancelled += g[i].abs() * of_row + (a[i] * moved[i]).abs();
+            }
             for k in 0..p {
                 sums.y[k] += (0..N).map(|i| link.Psi[i * p + k] * b[i]).sum::<f64>();
             }

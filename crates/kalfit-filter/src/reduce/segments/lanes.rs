@@ -10,7 +10,8 @@ use crate::reduce::segments::stretch::add_congruence;
 use crate::reduce::semidefinite::information_root;
 use kalfit_algebra::symmetric::pairs;
 
-/// Least scaled pivot of the information of a first segment about ξ that tells where to start.
+/// Least scaled pivot of the information of a first segment about ξ that tells where to start, and least fraction of the
+/// information that is left where the other states are uncertain.
 const LEAST_PIVOT: f64 = 1e-6;
 
 /// Largest ratio of what is subtracted in a sum of squares to the sum.
@@ -100,7 +101,15 @@ impl SegmentedStretch {
         let p = link.Psi.len() / N.max(1);
         let B = square::<N>(link.B);
         let mut J = vec![0.0; pairs(p)];
-        add_congruence(&symmetric(&product(&B, &square::<N>(moments.J))), link.Psi, p, &mut J);
+        let of_state = square::<N>(moments.J);
+        add_congruence(&symmetric(&product(&B, &of_state)), link.Psi, p, &mut J);
+        for k in 0..p {
+            // what the rows would tell if the states were otherwise known
+            let all: f64 = (0..N).map(|i| link.Psi[i * p + k].powi(2) * of_state[i][i]).sum();
+            if J[k * (k + 3) / 2] < LEAST_PIVOT * all {
+                (0..p).for_each(|i| J[k.min(i) + k.max(i) * (k.max(i) + 1) / 2] = 0.0);
+            }
+        }
         let root = information_root(&J, p, LEAST_PIVOT).0;
         let at = |i: usize, k: usize| root[i + k * (k + 1) / 2];
         let solved = |x: f64, pivot: f64| if pivot > 0.0 { x / pivot } else { 0.0 };

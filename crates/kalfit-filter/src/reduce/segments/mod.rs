@@ -20,7 +20,9 @@ pub(crate) mod strands;
 pub(crate) mod stretch;
 
 use crate::reduce::design::Design;
-use prefix::{Prefix, Prefixes};
+use prefix::Prefix;
+
+pub(crate) use prefix::Prefixes;
 
 pub(crate) use lanes::{FilteredStretch, TestsInLanes};
 pub(crate) use stretch::{SegmentFilter, SegmentedStretch};
@@ -40,15 +42,15 @@ const MAX_ROWS: usize = 4096;
 /// prefix: the number of rows of a segment is the root of the total number times this.
 const ROWS_PER_LINK: usize = 3;
 
-/// Number of rows of the segments of `rows` equal steps.
+/// Number of rows of the segments of `rows` equal steps: a power of two, so that records of other lengths share them.
 fn segment_rows(rows: usize) -> usize {
-    (ROWS_PER_LINK * rows).isqrt().clamp(MAX_UNCUT_STEPS, MAX_ROWS).min(rows)
+    (ROWS_PER_LINK * rows).isqrt().next_power_of_two().clamp(MAX_UNCUT_STEPS, MAX_ROWS)
 }
 
 /// Whether a run of a design is cut into segments, if its steps allow that.
 fn is_cut(design: &Design, run: usize) -> bool {
     let count = design.runs[run].count;
-    count > MAX_UNCUT_STEPS && design.is_long(count)
+    count > MAX_UNCUT_STEPS && design.is_long(count) && design.stretch(run).lines.len() == 1
 }
 
 /// Whether some runs of a design may be cut into segments.
@@ -57,13 +59,22 @@ pub(crate) fn has_segments(design: &Design) -> bool {
 }
 
 /// The prefix of each run of a design that is cut into segments; `None` for all other runs.
-pub(crate) fn prefixes(design: &Design) -> Vec<Option<Arc<Prefix>>> {
+pub(crate) fn prefixes(design: &Design, known: &Prefixes) -> Vec<Option<Arc<Prefix>>> {
     let runs = 0..design.runs.len();
-    let mut known = Prefixes::default();
-    let prefix = |run: usize| {
+    // (first run of such steps, prefix)
+    let mut found: Vec<(usize, Option<Arc<Prefix>>)> = Vec::new();
+    let mut prefix = |run: usize| {
+        if !is_cut(design, run) {
+            return None;
+        }
+        if let Some((_, prefix)) = found.iter().find(|(first, _)| design.same_steps(*first, run)) {
+            return prefix.clone();
+        }
         let alike = |other: &usize| is_cut(design, *other) && design.same_steps(run, *other);
-        let rows = || segment_rows(runs.clone().filter(alike).map(|other| design.runs[other].count).sum());
-        is_cut(design, run).then(|| known.of(design, run, rows)).flatten()
+        let rows = segment_rows(runs.clone().filter(alike).map(|other| design.runs[other].count).sum());
+        let prefix = known.of(design, &design.stretch(run), rows);
+        found.push((run, prefix.clone()));
+        prefix
     };
-    runs.clone().map(prefix).collect()
+    runs.clone().map(&mut prefix).collect()
 }

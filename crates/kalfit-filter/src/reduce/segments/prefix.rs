@@ -1,12 +1,14 @@
 //! The rows of a segment: the covariance filter over equal steps from a known state, P = 0 and Ψ = I.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, J, K, T, S")]
 
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
 use crate::reduce::covariance_filter::CovarianceFilter;
 use crate::reduce::design::{DENSE, Design, StateFrame, Stretch, ZERO};
+use crate::reduce::digest::Digest;
 use crate::reduce::entries::Common;
 use crate::reduce::segments::MAX_STATES;
 
@@ -221,22 +223,31 @@ impl Prefix {
     }
 }
 
-/// Prefixes of the steps of one design, each computed once.
+/// The prefixes of a model at α: steps of any designs that are equal share one.
 #[derive(Debug, Default)]
-pub(super) struct Prefixes {
-    /// (run of the first stretch of such steps, prefix).
-    found: Vec<(usize, Option<Arc<Prefix>>)>,
-}
+pub(crate) struct Prefixes(Mutex<HashMap<u128, Option<Arc<Prefix>>>>);
 
 impl Prefixes {
-    /// The prefix of a run of the design; `rows`: number of rows where the prefix is not yet known.
-    pub(super) fn of(&mut self, design: &Design, run: usize, rows: impl FnOnce() -> usize) -> Option<Arc<Prefix>> {
-        let known = self.found.iter().find(|(first, _)| design.same_steps(*first, run));
-        if let Some((_, prefix)) = known {
-            return prefix.clone();
-        }
-        let prefix = Prefix::new(design, &design.stretch(run), rows()).map(Arc::new);
-        self.found.push((run, prefix.clone()));
-        prefix
+    /// The prefix of `rows` rows of the steps of a stretch.
+    pub(super) fn of(&self, design: &Design, stretch: &Stretch<'_>, rows: usize) -> Option<Arc<Prefix>> {
+        let key = digest(design, stretch, rows);
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
+        known.unwrap_or_else(|| {
+            let prefix = Prefix::new(design, stretch, rows).map(Arc::new);
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(key).or_insert(prefix).clone()
+        })
     }
+}
+
+/// Digest of all that a prefix depends on.
+fn digest(design: &Design, stretch: &Stretch<'_>, rows: usize) -> u128 {
+    let mut digest = Digest::new();
+    digest.wide(design.frame.digest);
+    digest.wide(stretch.transition.map_or(0, |transition| transition.digest()));
+    let (states, h) = design.terms(stretch.lines.start);
+    states.iter().for_each(|&state| digest.word(u64::from(state)));
+    digest.numbers(h);
+    digest.numbers(&design.noise[stretch.lines.clone()]);
+    digest.count(rows);
+    digest.finish()
 }

@@ -342,6 +342,32 @@ impl<const N: usize, const DIAGONAL: bool> StepMatrices<N, DIAGONAL> {
         sums[0] + sums[1]
     }
 
+    /// u = e/S - K'r; `gains`: (K, T'/S, 1/S) of the row.
+    #[inline(always)]
+    pub(crate) fn smoothing_error<T: Lanes>(&self, r: &[T; N], gains: &[f64], e: T) -> T {
+        // two sums, so that no addition waits for all others
+        let mut sums = [e * T::splat(gains[2 * N]), T::splat(0.0)];
+        for i in 0..N {
+            sums[i % 2] = T::splat(gains[i]).fnma(r[i], sums[i % 2]);
+        }
+        sums[0] + sums[1]
+    }
+
+    /// φ'r.
+    #[inline(always)]
+    pub(crate) fn adjoint<T: Lanes>(&self, r: &[T; N]) -> [T; N] {
+        let mut before = [T::splat(0.0); N];
+        for i in 0..N {
+            before[i] = T::splat(self.phi[i][i]) * r[i];
+            for j in 0..N {
+                if !DIAGONAL && j != i {
+                    before[i] = T::splat(self.phi[j][i]).fma(r[j], before[i]);
+                }
+            }
+        }
+        before
+    }
+
     /// Entry i of φx.
     #[inline(always)]
     pub(crate) fn predicted<T: Lanes>(&self, x: &[T; N], i: usize) -> T {

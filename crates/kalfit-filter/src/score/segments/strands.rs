@@ -13,6 +13,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes, MAX_LANES, Part};
 use rayon::prelude::*;
 
 use crate::reduce::segments::SegmentedStretch;
+use crate::reduce::segments::prefix::Prefix;
 use crate::reduce::segments::strands::{
     Block, GROUPS, MARK_ROWS, MAX_SERIAL_ROWS, MAX_STRANDS, Pack, PackValues, SegmentData, StepMatrices, StretchData,
 };
@@ -158,8 +159,8 @@ impl<T: Lanes, const N: usize> RowSums<T, N> {
 
 /// x̄ before each row of a block, and ē of each row.
 struct BlockStates<T, const N: usize> {
-    x: [[[T; N]; MARK_ROWS]; GROUPS],
-    e: [[T; MARK_ROWS]; GROUPS],
+    x: [[[T; N]; GROUPS]; MARK_ROWS],
+    e: [[T; GROUPS]; MARK_ROWS],
 }
 
 impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N, DIAGONAL> {
@@ -175,7 +176,7 @@ impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N
         let blocks = rows.div_ceil(MARK_ROWS);
         let mut totals = [RowSums::<T, N>::zeros(); GROUPS];
         let mut block: Block = [[0.0; MAX_STRANDS]; MARK_ROWS];
-        let mut states = BlockStates { x: [[[zero; N]; MARK_ROWS]; GROUPS], e: [[zero; MARK_ROWS]; GROUPS] };
+        let mut states = BlockStates { x: [[[zero; N]; GROUPS]; MARK_ROWS], e: [[zero; GROUPS]; MARK_ROWS] };
         for segment in 0..segments {
             let (delta, mut r, present) = segment_ends::<T, N>(stretch, (pack, segment), ends);
             let mut own = [RowSums::<T, N>::zeros(); GROUPS];
@@ -186,25 +187,24 @@ impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N
                 values.read(segment, from, many, &mut block);
                 let gains = &prefix.gains[from * (2 * N + 1)..(from + many) * (2 * N + 1)];
                 let Psi = prefix.after(from).Psi;
+                let mut x = [[zero; N]; GROUPS];
                 for group in 0..GROUPS {
-                    let mut x = [zero; N];
                     for i in 0..N {
-                        x[i] = T::load(&mark[(group * N + i) * T::COUNT..]);
+                        x[group][i] = T::load(&mark[(group * N + i) * T::COUNT..]);
                         for j in 0..N {
-                            x[i] = T::splat(Psi[i * N + j]).fma(delta[group][j], x[i]);
+                            x[group][i] = T::splat(Psi[i * N + j]).fma(delta[group][j], x[group][i]);
                         }
                     }
-                    for (k, gains) in gains.chunks_exact(2 * N + 1).enumerate() {
-                        states.x[group][k] = x;
-                        let e = step.innovation(&x, T::load(&block[k][group * T::COUNT..]));
-                        states.e[group][k] = e;
-                        x = step.state(&x, gains, e);
+                }
+                for (k, gains) in gains.chunks_exact(2 * N + 1).enumerate() {
+                    states.x[k] = x;
+                    for group in 0..GROUPS {
+                        let e = step.innovation(&x[group], T::load(&block[k][group * T::COUNT..]));
+                        states.e[k][group] = e;
+                        x[group] = step.state(&x[group], gains, e);
                     }
                 }
-                for group in 0..GROUPS {
-                    let of_group = (&states.x[group], &states.e[group]);
-                    r[group] = rows_back(&step, (stretch, from, many), of_group, r[group], wanted, &mut own[group]);
-                }
+                r = rows_back(&step, (prefix, from, many), &states, r, wanted, &mut own);
             }
             for group in 0..GROUPS {
                 totals[group].add(present[group], &own[group]);
@@ -218,75 +218,78 @@ impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N
     }
 }
 
-/// r before the rows `from..from + many` of a segment, from r after them.
+/// r before the rows `from..from + many` of segments, from r after them.
 #[inline(always)]
 fn rows_back<T: Lanes, const N: usize, const DIAGONAL: bool>(
     step: &StepMatrices<N, DIAGONAL>,
-    (stretch, from, many): (&SegmentedStretch, usize, usize),
-    (xs, es): (&[[T; N]; MARK_ROWS], &[T; MARK_ROWS]),
-    mut r: [T; N],
+    (prefix, from, many): (&Prefix, usize, usize),
+    states: &BlockStates<T, N>,
+    mut r: [[T; N]; GROUPS],
     wanted: AdjointsWanted,
-    sums: &mut RowSums<T, N>,
-) -> [T; N] {
-    let prefix = &*stretch.prefix;
+    sums: &mut [RowSums<T, N>; GROUPS],
+) -> [[T; N]; GROUPS] {
     let mut own = *sums;
     for k in (0..many).rev() {
         let gains = &prefix.gains[(from + k) * (2 * N + 1)..][..2 * N + 1];
-        // two sums, so that no addition waits for all others
-        let mut parts = [es[k] * T::splat(gains[2 * N]), T::splat(0.0)];
-        for i in 0..N {
-            parts[i % 2] = T::splat(gains[i]).fnma(r[i], parts[i % 2]);
-        }
-        let u = parts[0] + parts[1];
-        own.u = own.u + u;
-        own.uu = u.fma(u, own.uu);
-        for i in 0..N {
-            r[i] = T::splat(step.h[i]).fma(u, r[i]);
-        }
-        if wanted.equation {
-            let (P, S) = (prefix.after(from + k + 1).P, 1.0 / gains[2 * N]);
+        let (before, after) = (&prefix.after(from + k).P[..N * N], &prefix.after(from + k + 1).P[..N * N]);
+        for group in 0..GROUPS {
+            let (r, own, x) = (&mut r[group], &mut own[group], &states.x[k][group]);
+            let u = step.smoothing_error(r, gains, states.e[k][group]);
+            own.u = own.u + u;
+            own.uu = u.fma(u, own.uu);
             for i in 0..N {
-                let mut smoothed = step.predicted(&xs[k], i);
-                for j in 0..N {
-                    smoothed = T::splat(P[i * N + j] + S * gains[i] * gains[j]).fma(r[j], smoothed);
-                }
-                own.h[i] = u.fma(smoothed, own.h[i]);
+                r[i] = T::splat(step.h[i]).fma(u, r[i]);
             }
-        }
-        let mut before = [T::splat(0.0); N];
-        for i in 0..N {
-            before[i] = T::splat(step.phi[i][i]) * r[i];
-            for j in 0..N {
-                if !DIAGONAL && j != i {
-                    before[i] = T::splat(step.phi[j][i]).fma(r[j], before[i]);
-                }
+            if wanted.equation {
+                own.add_h(step, (x, after), (gains, r), u);
             }
-        }
-        for i in 0..N {
-            for j in 0..=i {
-                if !DIAGONAL || j == i {
-                    own.rr[i][j] = r[i].fma(r[j], own.rr[i][j]);
-                }
-            }
-        }
-        if wanted.motion {
-            let P = prefix.after(from + k).P;
-            for j in 0..N {
-                let mut smoothed = xs[k][j];
-                for i in 0..N {
-                    smoothed = T::splat(P[j * N + i]).fma(before[i], smoothed);
-                }
-                for i in 0..N {
+            let r_before = step.adjoint(r);
+            for i in 0..N {
+                for j in 0..=i {
                     if !DIAGONAL || j == i {
-                        own.phi[i][j] = r[i].fma(smoothed, own.phi[i][j]);
+                        own.rr[i][j] = r[i].fma(r[j], own.rr[i][j]);
                     }
                 }
             }
+            if wanted.motion {
+                for j in 0..N {
+                    let mut smoothed = x[j];
+                    for i in 0..N {
+                        smoothed = T::splat(before[j * N + i]).fma(r_before[i], smoothed);
+                    }
+                    for i in 0..N {
+                        if !DIAGONAL || j == i {
+                            own.phi[i][j] = r[i].fma(smoothed, own.phi[i][j]);
+                        }
+                    }
+                }
+            }
+            *r = r_before;
         }
-        r = before;
     }
     *sums = own;
     r
+}
+
+impl<T: Lanes, const N: usize> RowSums<T, N> {
+    /// Adds u (x̄⁻ + P⁻r), where the measurement has reduced P⁻ by KSK' to P.
+    #[inline(always)]
+    fn add_h<const DIAGONAL: bool>(
+        &mut self,
+        step: &StepMatrices<N, DIAGONAL>,
+        (x, P): (&[T; N], &[f64]),
+        (gains, r): (&[f64], &[T; N]),
+        u: T,
+    ) {
+        let S = 1.0 / gains[2 * N];
+        for i in 0..N {
+            let mut smoothed = step.predicted(x, i);
+            for j in 0..N {
+                smoothed = T::splat(P[i * N + j] + S * gains[i] * gains[j]).fma(r[j], smoothed);
+            }
+            self.h[i] = u.fma(smoothed, self.h[i]);
+        }
+    }
 }
 
 /// δ̂, r after a segment, and one where a lane has the segment, else zero.
