@@ -138,8 +138,8 @@ fn segments_of_any_record_give_what_its_steps_give() {
         let taus: Vec<f64> = (0..case % 4).map(|_| 10f64.powf(uniform(-0.5, 4.5))).collect();
         let rate = if case % 3 == 0 { 10f64.powf(uniform(-4.0, -1.0)) } else { 0.0 };
         let (level, sigma, noise) = (uniform(-1e3, 1e3), uniform(0.1, 2.0), 10f64.powf(uniform(-2.0, 0.5)));
-        let rows = uniform(700.0, 4000.0) as u32;
-        let gaps: Vec<u32> = (0..case % 5).map(|_| uniform(0.0, f64::from(rows)) as u32).collect();
+        let rows = uniform(4500.0, 12_000.0) as u32;
+        let gaps: Vec<u32> = (0..case % 3).map(|_| uniform(0.0, f64::from(rows)) as u32).collect();
         let mut normal = || -> f64 { rng.sample(StandardNormal) };
         let (mut processes, mut x, mut speed) = (vec![0.0; taus.len()], 0.0, 0.0);
         let mut test = Test::new("drifting", 2, 0);

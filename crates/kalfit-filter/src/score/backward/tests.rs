@@ -449,11 +449,11 @@ fn long() -> (Design, Data) {
         design.repeat(count - 1);
     };
     step(None, 1, 1);
-    step(Some(transition(0.0)), 1, 1500);
+    step(Some(transition(0.0)), 1, 2600);
     step(Some(transition(0.05)), 2, 1);
     step(Some(transition(0.0)), 0, 3);
     step(Some(transition(0.02)), 1, 20);
-    step(Some(transition(0.01)), 1, 900);
+    step(Some(transition(0.01)), 1, 2100);
     step(Some(transition(0.03)), 2, 700);
     let rows = design.rows();
     let values = (0..rows).map(|row| ((row * row) as f64 * 0.618_033_988_749_895).fract() * 4.0 - 1.5).collect();
