@@ -289,3 +289,40 @@ fn long_records_that_are_alike_are_scored_as_one_by_one() {
         }
     }
 }
+
+/// A long record that begins with states of which much less is known than its rows tell, one of them or two as a sum.
+#[test]
+fn segments_after_wide_laws_keep_their_digits() {
+    let mut rng = ChaCha8Rng::seed_from_u64(61);
+    for deviation in [1.0, 10.0, 100.0, 1e4, 1e6] {
+        for (estimated, known_states) in [(true, 1), (false, 1), (true, 2), (false, 2)] {
+            let wide = || known(number(0.0), number(deviation * deviation));
+            let mut states = vec![state("walk", continuous(Vec::new(), number(0.0), number(1e-4)), wide())];
+            (1..known_states).for_each(|_| states.push(state("constant", Motion::Constant, wide())));
+            if estimated {
+                states.push(state("bias", Motion::Constant, Initial::Estimated));
+            }
+            let equation = linear((0..states.len()).map(|k| (k, number(1.0))).collect(), number(0.0));
+            let meter = meter("z", 1, equation, number(1.0));
+            let model = by_hand::model([&["t", "z"], &[], &[]], Vec::new(), states, vec![meter]);
+            let mut test = Test::new("wide", 2, 0);
+            for k in 0..5000_u32 {
+                let z = 0.7 * deviation + rng.sample::<f64, _>(StandardNormal);
+                test.push(
+                    &[f64::from(k), if k == 0 { f64::NAN } else { z }],
+                    &[],
+                    Source { file: 0, row: u64::from(k) },
+                );
+            }
+            let reducer = || Reducer::new(&model, &kalfit_model::Alpha::default()).expect("sound");
+            let tests = std::slice::from_ref(&test);
+            let (found, each) =
+                (reducer().reduce(tests).expect("sound"), reducer().unfrozen().reduce(tests).expect("sound"));
+            let (found, each) = (found.get(0), each.get(0));
+            let what = format!("{known_states} of deviation {deviation}, estimated {estimated}");
+            near::relative(format!("c, {what}"), found.constant, each.constant, 1e-9);
+            near::slices(format!("R, {what}"), found.factor, each.factor, 1e-8 * near::largest(each.factor));
+            near::slices(format!("d, {what}"), found.data, each.data, 1e-7 * near::largest(each.data));
+        }
+    }
+}
