@@ -1,5 +1,8 @@
 //! Small square matrices of fixed size.
 
+/// A pivot up to this fraction of its diagonal counts as zero.
+const ZERO_PIVOT: f64 = 1e-14;
+
 /// N × N, by rows.
 pub(crate) type Square<const N: usize> = [[f64; N]; N];
 
@@ -110,6 +113,23 @@ pub(crate) fn added<const N: usize>(a: &[f64; N], factor: f64, b: &[f64; N]) -> 
     std::array::from_fn(|i| a[i] + factor * b[i])
 }
 
+/// R upper triangular with R'R = A, for a positive semidefinite A; a pivot that is zero up to rounding gives a row of
+/// zeros.
+pub(crate) fn root<const N: usize>(a: &Square<N>) -> Square<N> {
+    let mut r = [[0.0; N]; N];
+    for k in 0..N {
+        let pivot = (0..k).fold(a[k][k], |left, l| left - r[l][k] * r[l][k]);
+        if pivot > ZERO_PIVOT * a[k][k] {
+            let diagonal = pivot.sqrt();
+            r[k][k] = diagonal;
+            for j in k + 1..N {
+                r[k][j] = (0..k).fold(a[k][j], |left, l| left - r[l][k] * r[l][j]) / diagonal;
+            }
+        }
+    }
+    r
+}
+
 /// (A⁻¹, |A|) by elimination with row pivots; `None` for a singular matrix.
 pub(crate) fn inverse<const N: usize>(a: &Square<N>) -> Option<(Square<N>, f64)> {
     let (mut left, mut right, mut determinant) = (*a, identity::<N>(), 1.0);
@@ -147,6 +167,15 @@ pub(crate) fn inverse<const N: usize>(a: &Square<N>) -> Option<(Square<N>, f64)>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_singular_matrix_is_the_square_of_its_root() {
+        let a = [[4.0, 2.0, -4.0], [2.0, 1.0, -2.0], [-4.0, -2.0, 9.0]];
+        let r = root(&a);
+        assert_eq!((r[1], r[2][2]), ([0.0; 3], 5f64.sqrt()));
+        let square = product(&transposed(&r), &r);
+        (0..9).for_each(|ij| assert!((square[ij / 3][ij % 3] - a[ij / 3][ij % 3]).abs() < 1e-14));
+    }
 
     #[test]
     fn the_inverse_times_the_matrix_is_the_identity() {

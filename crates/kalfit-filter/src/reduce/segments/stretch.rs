@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use crate::reduce::scan::with_states;
 use crate::reduce::segments::prefix::{Prefix, PrefixMoments};
-use crate::reduce::segments::square::{Square, congruence, identity, inverse, product, square, sum, symmetric};
+use crate::reduce::segments::square::{
+    Square, congruence, identity, inverse, product, root, square, sum, symmetric, transposed,
+};
 
 /// Largest difference of entries (i, j) and (j, i) of P(I + JP)⁻¹, relative to the standard deviations, with which
 /// plain arithmetic is accurate enough.
@@ -135,17 +137,15 @@ impl SegmentedStretch {
             if !is_symmetric(&filtered) {
                 return None;
             }
-            let N_m = symmetric(&product(&B, &J));
-            add_congruence(&N_m, &Psi, p, information);
+            // BJ = R'(I + RPR')⁻¹R, and RΨ first: what two states tell as a sum cancels in RΨ without rounding of J
+            let R = root(&J);
+            let S = inverse(&sum(&identity(), 1.0, &congruence(&R, &P)))?.0;
+            let (told, gain) = (times_columns(&R, &Psi, p), product(&product(&P, &transposed(&R)), &S));
+            add_congruence(&symmetric(&S), &told, p, information);
             // B'Ψ = Ψ - P BJ Ψ
-            let mut moved = vec![0.0; N * p];
-            let through = product(&Psi_l, &sum(&identity(), -1.0, &product(&P, &N_m)));
-            for i in 0..N {
-                for k in 0..N {
-                    (0..p).for_each(|j| moved[i * p + j] += through[i][k] * Psi[k * p + j]);
-                }
-            }
-            Psi = moved;
+            let filtered_Psi: Vec<f64> =
+                Psi.iter().zip(times_columns(&gain, &told, p)).map(|(before, told)| before - told).collect();
+            Psi = times_columns(&Psi_l, &filtered_Psi, p);
             P = sum(&congruence(&Psi_l, &symmetric(&filtered)), 1.0, &P_l);
         }
         for i in 0..r {
@@ -168,6 +168,17 @@ fn is_symmetric<const N: usize>(P: &Square<N>) -> bool {
                 difference * difference <= MOST_ASYMMETRY * MOST_ASYMMETRY * P[i][i] * P[j][j]
             })
     })
+}
+
+/// The product of an N × N matrix and an N × p matrix, row-major.
+fn times_columns<const N: usize>(a: &Square<N>, columns: &[f64], p: usize) -> Vec<f64> {
+    let mut out = vec![0.0; N * p];
+    for i in 0..N {
+        for k in 0..N {
+            (0..p).for_each(|j| out[i * p + j] += a[i][k] * columns[k * p + j]);
+        }
+    }
+    out
 }
 
 /// J ← J + Ψ'MΨ, packed by columns; Ψ is N × p.
