@@ -1,7 +1,10 @@
 //! Small square matrices of fixed size.
 
 /// A pivot up to this fraction of its diagonal counts as zero.
-const ZERO_PIVOT: f64 = 1e-14;
+const ZERO_PIVOT: f64 = 1e-15;
+
+/// Least fraction of its diagonal that a pivot has unless it is zero.
+const LEAST_PIVOT: f64 = 1e-9;
 
 /// N × N, by rows.
 pub(crate) type Square<const N: usize> = [[f64; N]; N];
@@ -114,12 +117,15 @@ pub(crate) fn added<const N: usize>(a: &[f64; N], factor: f64, b: &[f64; N]) -> 
 }
 
 /// R upper triangular with R'R = A, for a positive semidefinite A; a pivot that is zero up to rounding gives a row of
-/// zeros.
-pub(crate) fn root<const N: usize>(a: &Square<N>) -> Square<N> {
+/// zeros. `None` where a pivot is so small that it has lost its digits.
+pub(crate) fn root<const N: usize>(a: &Square<N>) -> Option<Square<N>> {
     let mut r = [[0.0; N]; N];
     for k in 0..N {
         let pivot = (0..k).fold(a[k][k], |left, l| left - r[l][k] * r[l][k]);
         if pivot > ZERO_PIVOT * a[k][k] {
+            if pivot < LEAST_PIVOT * a[k][k] {
+                return None;
+            }
             let diagonal = pivot.sqrt();
             r[k][k] = diagonal;
             for j in k + 1..N {
@@ -127,7 +133,7 @@ pub(crate) fn root<const N: usize>(a: &Square<N>) -> Square<N> {
             }
         }
     }
-    r
+    Some(r)
 }
 
 /// (A⁻¹, |A|) by elimination with row pivots; `None` for a singular matrix.
@@ -171,7 +177,8 @@ mod tests {
     #[test]
     fn a_singular_matrix_is_the_square_of_its_root() {
         let a = [[4.0, 2.0, -4.0], [2.0, 1.0, -2.0], [-4.0, -2.0, 9.0]];
-        let r = root(&a);
+        assert!(root(&[[1.0, 1.0], [1.0, 1.0 + 1e-12]]).is_none());
+        let r = root(&a).expect("accurate");
         assert_eq!((r[1], r[2][2]), ([0.0; 3], 5f64.sqrt()));
         let square = product(&transposed(&r), &r);
         (0..9).for_each(|ij| assert!((square[ij / 3][ij % 3] - a[ij / 3][ij % 3]).abs() < 1e-14));

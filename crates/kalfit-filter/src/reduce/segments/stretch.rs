@@ -138,7 +138,7 @@ impl SegmentedStretch {
                 return None;
             }
             // BJ = R'(I + RPR')⁻¹R, and RΨ first: what two states tell as a sum cancels in RΨ without rounding of J
-            let R = root(&J);
+            let R = root(&J)?;
             let S = inverse(&sum(&identity(), 1.0, &congruence(&R, &P)))?.0;
             let (told, gain) = (times_columns(&R, &Psi, p), product(&product(&P, &transposed(&R)), &S));
             add_congruence(&symmetric(&S), &told, p, information);
