@@ -196,6 +196,11 @@ pub(crate) fn read(
     let Some(columns) = columns else {
         return field.map_or(Ok(Vec::new()), |field| Err(without_columns(&field, kind)));
     };
+    if estimated.is_empty() {
+        let (key, why) = (kind.key().to_owned(), "where no initial state is estimated".to_owned());
+        let hint = "groups differ in estimated states: a state without `process`, or one whose `initial` is left out";
+        return Err(SpecError::new(SpecProblem::NoEffect { key, why }).at(columns.key.clone()).hint(hint));
+    }
     let place = format!("`[{}]`", kind.key());
     let mut section = field.map(|field| field.section(place.as_str())).transpose()?;
     if let Some(field) =

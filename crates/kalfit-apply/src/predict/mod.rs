@@ -197,7 +197,7 @@ pub struct Initial {
     pub levels: Vec<usize>,
     /// How the effects of each level enter the state, in the slots whose groups are new.
     pub slots: LevelSlots,
-    /// The same in all slots, those whose groups are known among them.
+    /// How the effects of each level enter the state, in all slots, slots of known groups included.
     pub all_slots: LevelSlots,
     /// Number of tests that a known group has; zero for a new group.
     pub group_tests: usize,

@@ -44,7 +44,8 @@ use crate::reduce::{ReduceError, check_shape, chunk_size, refuse};
 use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
 
-/// Changed copies of a test that one thread filters together.
+/// Largest number of changed copies of a test that one thread filters together, for which there is memory; the number
+/// decides no bit.
 const MAX_COPIES: usize = 8;
 
 /// Innovations of each test, in the order of the tests; `None` for a test whose phases are all given by estimates or
@@ -108,6 +109,14 @@ impl InnovationFilter {
         self.each(tests, |_, series, _| series)
     }
 
+    /// A copy of a test with a change.
+    pub fn copy(&self, test: &PhasedTest, change: &Change<'_>) -> PhasedTest {
+        match &self.0 {
+            Some(filter) => change.copy(test, filter.column(change.phase, change.measurement)),
+            None => test.clone(),
+        }
+    }
+
     /// As [`InnovationFilter::standardised`], of a test with each of these changes; `None` where the innovations cannot
     /// be had. A long test is evaluated once for several changes.
     pub fn changed(&self, test: &PhasedTest, changes: &[Change<'_>]) -> Vec<Option<Vec<f64>>> {
@@ -117,14 +126,13 @@ impl InnovationFilter {
             if let Some(found) = filter.changed(test, changes, filter.room().space()) {
                 return found.into_iter().map(|series| rows::are_finite(&series).then_some(series)).collect();
             }
-            let copy = |change: &Change<'_>| change.copy(test, filter.column(change.phase, change.measurement));
-            let copies: Vec<PhasedTest> = changes.iter().map(copy).collect();
+            let copies: Vec<PhasedTest> = changes.iter().map(|change| self.copy(test, change)).collect();
             self.standardised(&copies).into_iter().map(|found| found.ok().flatten()).collect()
         };
         changes.par_chunks(size).flat_map_iter(of_some).collect()
     }
 
-    /// What `finish` makes of (test, innovations, log p of the phases without innovations), for each test.
+    /// Filters tests, and maps (test, innovations, log p of the phases without innovations) of each by `finish`.
     fn each<T: ListedInnovation, R: Send>(
         &self,
         tests: &[PhasedTest],

@@ -19,16 +19,12 @@ use crate::innovations::phase_prior::PhasePrior;
 use crate::innovations::rows;
 use crate::innovations::rows::{Figures, ListedInnovation};
 use crate::reduce::{
-    BatchWorkspace, EnteringMoments, Gains, GatheredCells, PhaseReducer, ReduceError, Reducer, Skeleton, Terminal,
-    Workspace,
+    BatchWorkspace, DataWorkspace, EnteringMoments, Gains, GatheredCells, MAX_ROWS_IN_LANES, PhaseReducer, ReduceError,
+    Reducer, Skeleton, Terminal, Workspace,
 };
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Phase, PhasedModel};
 use kalfit_model::{Evidence, Inherited, PhasedTest};
-
-/// Largest number of scalar measurements of a test that is filtered beside others: values and innovations are in memory
-/// for every lane.
-const MAX_ROWS_IN_LANES: usize = 1 << 22;
 
 /// The filters of the phases.
 #[derive(Debug)]
@@ -200,7 +196,7 @@ impl PhaseBatch<'_> {
             &mut GatheredCells,
         ),
     ) {
-        let PhaseFilter { reducer, is_only_phase, .. } = self.phase_filter;
+        let PhaseFilter { reducer, .. } = self.phase_filter;
         let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
         let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
         let mut entering: Vec<EnteringMoments> = tests.iter().map(|_| EnteringMoments::default()).collect();
@@ -231,8 +227,27 @@ impl PhaseBatch<'_> {
             let found = self.filter_apart(set, of, (work, cells));
             set.iter().zip(found).for_each(|(one, found)| add_to_track(&mut tracks[numbers[one.place]], found));
         }
+        let room = (batch_workspace, &mut work.scratch);
+        let needs_square_roots = self.filter_batch((&numbers, &tests), (own, &entering), tracks, room);
+        unused_skeletons.append(own);
+        for place in needs_square_roots {
+            let found = self.filter_single(tests[place], of, None, (work, cells));
+            add_to_track(&mut tracks[numbers[place]], found);
+        }
+    }
+
+    /// Filters the tests with skeletons in lanes. Returns the places of tests that need square roots and may be filtered
+    /// one at a time, as there is only one phase.
+    fn filter_batch<T: ListedInnovation>(
+        &self,
+        (numbers, tests): (&[usize], &[&Test]),
+        (skeletons, entering): (&mut [Skeleton], &[EnteringMoments]),
+        tracks: &mut [Option<Track<T>>],
+        (batch_workspace, scratch): (&mut BatchWorkspace, &mut DataWorkspace),
+    ) -> Vec<usize> {
+        let PhaseFilter { reducer, is_only_phase, .. } = self.phase_filter;
         let mut needs_square_roots = Vec::new();
-        batch_workspace.pass(reducer, (&tests, own, &entering), &mut work.scratch, |skeleton, passed| {
+        batch_workspace.pass(reducer, (tests, skeletons, entering), scratch, |skeleton, passed| {
             let place = skeleton.number;
             let found = passed.map(|passed| {
                 let row_figures = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
@@ -240,18 +255,13 @@ impl PhaseBatch<'_> {
                 T::append(&mut series, (self.at, tests[place], self.time), skeleton.measured(), row_figures);
                 (series, passed.end.map(|end| end.terminal()))
             });
-            // with only one phase, tests that need square roots may be filtered one at a time
             if found.is_none() && *is_only_phase {
                 needs_square_roots.push(place)
             } else {
                 add_to_track(&mut tracks[numbers[place]], found)
             }
         });
-        unused_skeletons.append(own);
-        for place in needs_square_roots {
-            let found = self.filter_single(tests[place], of, None, (work, cells));
-            add_to_track(&mut tracks[numbers[place]], found);
-        }
+        needs_square_roots
     }
 
     /// True if a test differs from another one, whose covariates are sound, only in measured values and covariates.

@@ -1,11 +1,8 @@
 //! Innovations of the rows of a phase, from a data pass over the rows.
 
 use crate::innovations::innovation::Innovation;
-use crate::reduce::{Gains, Instance, Workspace, single_test_innovations};
+use crate::reduce::{CACHED_ROWS, Gains, Instance, Workspace, single_test_innovations};
 use kalfit_model::Test;
-
-/// Number of rows of tests in lanes whose innovations are listed together, so few that they stay in the caches.
-const ROWS_AT_ONCE: usize = 1 << 10;
 
 /// e, S and e/√S of one measurement.
 #[derive(Debug, Clone, Copy)]
@@ -97,8 +94,8 @@ pub(crate) fn series_in_lanes<T: ListedInnovation>(
     let (lanes, e) = (work.block.lanes(), &work.scratch.e);
     let mut series: Vec<Vec<T>> = tests.iter().map(|_| Vec::with_capacity(e.len() / lanes)).collect();
     let (mut measured, mut row) = (measured(work), 0);
-    let mut rows = Vec::with_capacity(ROWS_AT_ONCE);
-    for e in e.chunks(ROWS_AT_ONCE * lanes) {
+    let mut rows = Vec::with_capacity(CACHED_ROWS);
+    for e in e.chunks(CACHED_ROWS * lanes) {
         rows.clear();
         for place in measured.by_ref().take(e.len() / lanes) {
             rows.push((place, gains.row(row).0));

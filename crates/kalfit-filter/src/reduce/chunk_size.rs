@@ -10,6 +10,9 @@ const SUFFICIENT_ROWS: usize = 8192;
 /// Largest number of rows in a chunk of several tests.
 const MAX_ROWS: usize = 1 << 20;
 
+/// Number of rows of a test that are passed several times in a row: so few that they are read from memory once.
+pub(crate) const CACHED_ROWS: usize = 1 << 10;
+
 /// Number of tests per chunk, for `tests` tests with `rows` rows in all.
 pub(crate) fn chunk_size(tests: usize, rows: usize) -> usize {
     let fewest = (SUFFICIENT_ROWS * tests / rows.max(1)).clamp(1, MIN_TESTS);

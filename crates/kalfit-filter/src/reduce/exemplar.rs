@@ -13,7 +13,7 @@ use kalfit_model::Test;
 
 /// Largest number of scalar measurements of a test that is reduced in lanes: values and innovations are in memory for
 /// every lane.
-const MAX_ROWS_IN_LANES: usize = 1 << 22;
+pub(crate) const MAX_ROWS_IN_LANES: usize = 1 << 22;
 
 /// Total number of rows of a set of replicates up to which one thread reduces the set.
 const MAX_SERIAL_ROWS: usize = 1 << 15;

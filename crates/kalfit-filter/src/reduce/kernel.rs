@@ -169,7 +169,7 @@ pub(crate) fn sensitivity<R: Real, E: Entries<R>>(
 /// Least ratio of S to R + Σ h_j² P_jj, and least ratio of the variance of one of several states after an update to the
 /// variance before the update, in plain covariance arithmetic. Losses of several updates add up: with a limit of 1e-6,
 /// four of 5 500 hard random tests are off by 1e-9 to 1e-6; with 1e-5 none is.
-const MIN_REMAINING: f64 = 1e-5;
+pub(crate) const MIN_REMAINING: f64 = 1e-5;
 
 /// The results of a scalar update.
 #[derive(Debug, Clone, Copy)]

@@ -1,15 +1,14 @@
-//! What all values of α share of one ensemble: steps of long records, determined once, since steps depend on times alone;
-//! and memory for the data of long records.
+//! Steps of long records, determined once for all values of α, since steps depend on times alone.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::reduce::data::Data;
+use crate::reduce::data_memory::DataMemory;
 use crate::reduce::steps::StepSpan;
 use kalfit_model::{Test, TestId};
 
 /// Number of rows from which a record counts as long.
-const MIN_LONG_ROWS: usize = 1 << 10;
+pub(crate) const MIN_LONG_ROWS: usize = 1 << 10;
 /// Least mean number of rows per span: with fewer rows, the list of spans is nearly as long as the record.
 const MIN_ROWS_PER_SPAN: usize = 16;
 
@@ -17,15 +16,8 @@ const MIN_ROWS_PER_SPAN: usize = 16;
 #[derive(Debug, Default)]
 pub(crate) struct KnownSteps {
     spans: Mutex<HashMap<TestId, KnownSpans>>,
-    /// Memory that waits for the data of further tests: fresh memory of long records costs as much as filling it.
-    spare: Mutex<Vec<SpareMemory>>,
-}
-
-/// Memory for the data of a test, and of a block of tests in lanes.
-#[derive(Debug, Default)]
-pub(crate) struct SpareMemory {
-    pub(crate) data: Data,
-    pub(crate) block: Vec<f64>,
+    /// Memory for the data of these records.
+    pub(crate) memory: DataMemory,
 }
 
 #[derive(Debug)]
@@ -36,26 +28,7 @@ struct KnownSpans {
     spans: Arc<Vec<StepSpan>>,
 }
 
-impl SpareMemory {
-    /// Whether the memory is that of long records.
-    fn is_long(&self) -> bool {
-        self.data.values.capacity().max(self.block.capacity()) >= MIN_LONG_ROWS
-    }
-}
-
 impl KnownSteps {
-    /// Memory that waits, or none.
-    pub(crate) fn take_spare(&self) -> SpareMemory {
-        self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
-    }
-
-    /// Lets memory wait for further tests. As much waits as was in use at one time.
-    pub(crate) fn give_back(&self, memory: SpareMemory) {
-        if memory.is_long() {
-            self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(memory);
-        }
-    }
-
     /// The steps of a test with the time `initial` of x_0; `None` if the steps are not known.
     pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
         if test.rows() < MIN_LONG_ROWS {

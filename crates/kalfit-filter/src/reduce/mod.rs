@@ -55,6 +55,7 @@ mod chunk_size;
 mod class;
 mod covariance_filter;
 mod data;
+mod data_memory;
 mod design;
 mod design_pass;
 mod digest;
@@ -108,6 +109,7 @@ pub use kalfit_model::{
 };
 
 pub use error::{Cell, ReduceError, ReduceErrorKind};
+pub(crate) use exemplar::MAX_ROWS_IN_LANES;
 pub use flops::reduction_flops;
 pub use groups::{GroupingError, grouping, grouping_of, groups_of};
 pub use phased::PhasedReducer;
@@ -119,7 +121,7 @@ pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub(crate) use batches::FilteredBatch;
 pub(crate) use batches::batch_workspace::{BatchWorkspace, EnteringMoments};
 pub(crate) use carry::InheritanceTerm;
-pub(crate) use chunk_size::chunk_size;
+pub(crate) use chunk_size::{CACHED_ROWS, chunk_size};
 pub use data::Data;
 pub use design::{Design, DesignStep, Pattern, StateFrame, Stretch, Transition, TransitionView, same_bits};
 pub use dynamics::{Component, Table};
@@ -129,7 +131,7 @@ pub use gains::{GainSpan, Gains};
 pub(crate) use instances::Instance;
 pub(crate) use kernel::{advance, correct_mean, innovation, mirror, predict, update};
 pub(crate) use known_steps::KnownSteps;
-pub(crate) use lanes::{DataBlock, DataView, DesignBatch, Numbers, at};
+pub(crate) use lanes::{DataBlock, DataView, DataWorkspace, DesignBatch, Numbers, at};
 pub(crate) use measured_cells::MeasuredCells;
 pub(crate) use moment_path::MomentPath;
 pub use motion::{Evaluated, Filled, MotionPullback, Moves};
@@ -148,6 +150,5 @@ pub(crate) use steps::GatheredCells;
 pub use subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
-    design::DENSE, design_pass::information_gains, lanes::DataWorkspace, outcome::outcome, root::root_gains,
-    schedule::GainsWork,
+    design::DENSE, design_pass::information_gains, outcome::outcome, root::root_gains, schedule::GainsWork,
 };

@@ -3,6 +3,7 @@
 mod backward;
 mod whiten;
 
+use crate::reduce::chunk_size::CACHED_ROWS;
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::error::ReduceErrorKind;
@@ -44,9 +45,6 @@ pub(crate) struct Correlation {
     /// Row of the test on which the covariance was evaluated.
     pub(crate) row: usize,
 }
-
-/// Number of rows whose values are appended at a time.
-const ROWS_AT_ONCE: usize = 1 << 10;
 
 impl Meters {
     /// The measurements of a model at α. `place`: kernel index of each state.
@@ -252,8 +250,7 @@ impl Meters {
         };
         let mut appended = 0;
         while appended < most {
-            // so few rows that they are read from memory once
-            let some = rows.clone().skip(appended).take(ROWS_AT_ONCE);
+            let some = rows.clone().skip(appended).take(CACHED_ROWS);
             let (given, taken_rows) = (some.len(), some.clone().take_while(|numbers| continues(numbers)).count());
             out.data.take_rows(some.take(taken_rows), &taken);
             appended += taken_rows;

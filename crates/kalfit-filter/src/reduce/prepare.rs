@@ -8,11 +8,12 @@ use kalfit_lanes::Isa;
 
 use crate::reduce::cell_mask::CellMask;
 use crate::reduce::data::Data;
+use crate::reduce::data_memory::DataBuffers;
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::{Instance, Instances};
-use crate::reduce::known_steps::{KnownSteps, SpareMemory};
+use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::{DataBlock, DataWorkspace};
 use crate::reduce::motion::{Filled, MotionPlan, Moves};
 use crate::reduce::observe::{Meters, Observed};
@@ -131,7 +132,7 @@ impl Drop for Workspace {
     fn drop(&mut self) {
         if let Some(steps) = &self.steps {
             let (data, block) = (std::mem::take(&mut self.data), self.block.take_memory());
-            steps.give_back(SpareMemory { data, block });
+            steps.memory.give_back(DataBuffers { data, block });
         }
     }
 }
@@ -233,7 +234,7 @@ impl Preparer {
 
     /// An empty work space for tests of this model.
     pub fn workspace(&self) -> Workspace {
-        let SpareMemory { data, block } = self.steps.as_ref().map(|steps| steps.take_spare()).unwrap_or_default();
+        let DataBuffers { data, block } = self.steps.as_ref().map(|steps| steps.memory.take()).unwrap_or_default();
         Workspace {
             design: Design::new(self.order.frame.clone()),
             data,

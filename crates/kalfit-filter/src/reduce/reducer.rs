@@ -380,13 +380,11 @@ impl Reducer {
 
     /// The design class of the test in the work space. `by_root`: the design is known to need square-root arrays.
     pub(crate) fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
-        let Workspace { design, gains, .. } = work;
-        let make = |design: &Design| {
+        let make = |design: &Design, work: &mut GainsWork| {
             self.count_design_run(digest);
-            self.gains_of(design, gains, by_root)
+            self.gains_of(design, work, by_root)
         };
-        let design = &*design;
-        DesignClass(self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
+        class_in(&self.classes, digest, work, make)
     }
 
     /// The design class of the test in the work space, with gains of every row.
@@ -395,15 +393,13 @@ impl Reducer {
         if !has_segments(&work.design) {
             return self.class(digest, work, false);
         }
-        let Workspace { design, gains, .. } = work;
-        let make = |design: &Design| {
-            gains.every_row = true;
-            let found = self.gains_of(design, gains, false);
-            gains.every_row = false;
+        let make = |design: &Design, work: &mut GainsWork| {
+            work.every_row = true;
+            let found = self.gains_of(design, work, false);
+            work.every_row = false;
             found
         };
-        let design = &*design;
-        DesignClass(self.row_classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
+        class_in(&self.row_classes, digest, work, make)
     }
 
     fn gains_of(&self, design: &Design, work: &mut GainsWork, by_root: bool) -> Result<Gains, RootError> {
@@ -414,6 +410,19 @@ impl Reducer {
         self.root_runs.fetch_add(1, Ordering::Relaxed);
         root_gains(design, states, self.paths)
     }
+}
+
+/// The class of the design in the work space, with gains from `make` where `classes` does not contain it.
+fn class_in(
+    classes: &SharedStore<Design, Result<Gains, RootError>>,
+    digest: u128,
+    work: &mut Workspace,
+    make: impl FnOnce(&Design, &mut GainsWork) -> Result<Gains, RootError>,
+) -> DesignClass {
+    let Workspace { design, gains, .. } = work;
+    let design = &*design;
+    let make = |design: &Design| make(design, gains);
+    DesignClass(classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
 }
 
 /// Computes the innovations of the test in the work space for σ = 0 into `pass.e`, and x̂_K into `pass.x`, with the

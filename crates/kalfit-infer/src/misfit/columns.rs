@@ -15,7 +15,6 @@ use crate::misfit::terms::Term;
 /// Computes, for each unit, the columns [residual, p states, regressors, terms], each multiplied by L⁻¹ of the law within
 /// tests.
 pub(super) struct Columns<'a> {
-    model: &'a PhasedModel,
     terms: &'a [Term],
     base: &'a InnovationFilter,
     /// Filters with one element of the mean or one coefficient moved, and by how much.
@@ -39,14 +38,14 @@ pub(super) struct UnitColumns {
 
 impl<'a> Columns<'a> {
     /// Residuals alone, without states, regressors and terms. `base`: the filter under the law within tests.
-    pub(super) fn residuals_alone(model: &'a PhasedModel, base: &'a InnovationFilter) -> Columns<'a> {
+    pub(super) fn residuals_alone(base: &'a InnovationFilter) -> Columns<'a> {
         let basis = DMatrix::zeros(0, 0);
-        Columns { model, terms: &[], base, moved: Vec::new(), states: 0, roots: Vec::new(), basis }
+        Columns { terms: &[], base, moved: Vec::new(), states: 0, roots: Vec::new(), basis }
     }
 
     /// All columns. `base`: the filter under the law within tests.
     pub(super) fn new(
-        (model, base): (&'a PhasedModel, &'a InnovationFilter),
+        (model, base): (&PhasedModel, &'a InnovationFilter),
         of: &FittedEnsemble<'_>,
         terms: &'a [Term],
     ) -> Result<Columns<'a>, ReduceError> {
@@ -69,15 +68,7 @@ impl<'a> Columns<'a> {
         }
         let levels = of.population.mean.len().checked_div(p).unwrap_or(1);
         let root = |level: usize| square_root(&of.population.covariance.view((level * p, level * p), (p, p)).into());
-        Ok(Columns {
-            model,
-            terms,
-            base,
-            moved,
-            states: p,
-            roots: (1..levels).map(root).collect(),
-            basis: basis(model),
-        })
+        Ok(Columns { terms, base, moved, states: p, roots: (1..levels).map(root).collect(), basis: basis(model) })
     }
 
     /// Number of passes of the filter over a test.
@@ -123,7 +114,8 @@ impl<'a> Columns<'a> {
             }
         } else {
             for (term, column, size) in of_terms {
-                let copies: Vec<PhasedTest> = chosen.iter().map(|test| self.with(term, column, size, test)).collect();
+                let copy = |test: &PhasedTest| self.base.copy(test, &self.change(term, column, size, test));
+                let copies: Vec<PhasedTest> = chosen.iter().map(copy).collect();
                 columns.push(differences(&columns[0], existing(self.base.standardised(&copies)), size));
             }
         }
@@ -163,21 +155,6 @@ impl<'a> Columns<'a> {
             if change == 0.0 { value } else { value + size * change }
         };
         Change { phase: term.phase, measurement: term.measurement, value: Box::new(value) }
-    }
-
-    /// A test with `size` times a column of a term added to the measurement of the term.
-    fn with(&self, term: &Term, column: usize, size: f64, test: &PhasedTest) -> PhasedTest {
-        let mut test = test.clone();
-        let measured = self.model.phases[term.phase].model.measurements[term.measurement].column;
-        let Some(Evidence::Rows(rows)) = test.phases.get_mut(term.phase) else { return test };
-        for row in 0..rows.rows() {
-            let change = term.value(column, row, rows);
-            if change != 0.0 {
-                let value = rows.numbers(row)[measured] + size * change;
-                rows.set_number(row, measured, value);
-            }
-        }
-        test
     }
 }
 

@@ -200,7 +200,7 @@ fn whole(
 ) -> Result<Option<LargeInnovations>, ReduceError> {
     let columns = match of.grouping {
         Some(_) => Columns::new((model, base), of, &[])?,
-        None => Columns::residuals_alone(model, base),
+        None => Columns::residuals_alone(base),
     };
     let rows = tests.iter().map(PhasedTest::row_count).sum();
     let (mut large, mut values) = (LargeInnovations::default(), Vec::with_capacity(rows));

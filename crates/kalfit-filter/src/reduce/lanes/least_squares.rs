@@ -65,7 +65,7 @@ fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), values: &[f
         let (mut y, mut square) = (vec![0.0; p * T::COUNT], vec![0.0; T::COUNT]);
         let values = &values[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
         let data = StretchData { values, tests: T::COUNT };
-        stretch.add_at(TestsInLanes { data, y: &mut y, square: &mut square }, &scratch.best, filtered);
+        stretch.add_at(TestsInLanes { data, y: &mut y, square: &mut square }, Some(&scratch.best), filtered);
         for (k, sum) in sum.iter_mut().enumerate() {
             *sum = *sum + at(&y, k);
         }

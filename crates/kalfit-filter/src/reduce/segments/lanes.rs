@@ -1,20 +1,20 @@
 //! Segments of tests in lanes, for the data pass over whole tests.
-#![expect(non_snake_case, reason = "the letters of the theory: J, Psi")]
+#![expect(non_snake_case, reason = "the letters of the theory: R, Psi")]
+
+use nalgebra::DVector;
 
 use crate::reduce::scan::with_states;
-use crate::reduce::segments::SegmentedStretch;
 use crate::reduce::segments::chain::{ChainMeans, ChainSums};
-use crate::reduce::segments::square::{product, square, symmetric, times};
+use crate::reduce::segments::root::root_data;
 use crate::reduce::segments::strands::{SegmentData, StretchData};
-use crate::reduce::segments::stretch::add_congruence;
-use crate::reduce::semidefinite::information_root;
-use kalfit_algebra::symmetric::pairs;
+use crate::reduce::segments::stretch::Link;
+use crate::reduce::segments::{SegmentedStretch, Vector};
 
-/// Least scaled pivot of the information of a first segment about ξ that tells where to start, and least fraction of the
-/// information that is left where the other states are uncertain.
-const LEAST_PIVOT: f64 = 1e-6;
+/// Fraction of what a segment would tell about ξ, if the states were otherwise known, below which it says too little about
+/// ξ to start from.
+const LEAST_TOLD: f64 = 1e-6;
 
-/// Largest ratio of what is subtracted in a sum of squares to the sum.
+/// Largest ratio of what is subtracted in a sum of squares to the sum: a digit may be lost.
 const MOST_CANCELLED: f64 = 10.0;
 
 /// Tests in lanes: number k of test t is at k × tests + t.
@@ -30,113 +30,82 @@ pub(crate) struct TestsInLanes<'a> {
 #[derive(Debug)]
 pub(crate) struct FilteredStretch {
     data: SegmentData,
-    /// Means of each test.
-    means: Vec<ChainMeans>,
+    /// x̂ of each test before the stretch, N numbers.
+    before: Vec<f64>,
 }
 
 impl SegmentedStretch {
     /// Filters tests through the stretch; `x`: x̂ of all states of each test, before and then after it.
     pub(crate) fn filter_tests(&self, tests: TestsInLanes<'_>, x: &mut [f64]) -> FilteredStretch {
-        let TestsInLanes { data, y, square } = tests;
-        let (many, states, p) = (data.tests, &self.prefix.states, y.len() / data.tests);
-        let before = |test: usize| states.iter().map(move |&state| state * many + test);
-        let near = self.near_unknowns(data, |test, out| {
-            out.iter_mut().zip(before(test)).for_each(|(out, at)| *out = x[at]);
-        });
-        let Psi = self.link(0).Psi;
+        let (many, states) = (tests.data.tests, &self.prefix.states);
+        let places = |test: usize| states.iter().map(move |&state| state * many + test);
+        let before: Vec<f64> = (0..many).flat_map(places).map(|at| x[at]).collect();
+        let near = with_states!(states.len(), N => self.near::<N>(tests.data, &before));
         let reference = |test: usize, _: usize, out: &mut [f64]| {
-            for ((i, out), at) in out.iter_mut().enumerate().zip(before(test)) {
-                *out = x[at] + (0..p).map(|k| Psi[i * p + k] * near[test * p + k]).sum::<f64>();
-            }
+            out.copy_from_slice(&near[test * states.len()..][..states.len()]);
         };
-        let run = self.run(data, reference, false);
-        let start: Vec<f64> = x.to_vec();
-        let mut filtered = FilteredStretch { data: run, means: Vec::with_capacity(many) };
-        for test in 0..many {
-            let mut own: Vec<f64> = before(test).map(|at| start[at]).collect();
-            let means = self.chain((&filtered.data, test), &mut own, &mut ChainSums::zeros(p));
-            filtered.means.push(means);
-            own.iter().zip(before(test)).for_each(|(own, at)| x[at] = *own);
-        }
-        self.add_at(TestsInLanes { data, y, square }, &vec![0.0; p * many], &filtered);
+        let filtered = FilteredStretch { data: self.run(tests.data, reference, false), before };
+        let after = self.add_at(tests, None, &filtered);
+        (0..many).flat_map(places).zip(after).for_each(|(at, after)| x[at] = after);
         filtered
     }
 
-    /// Adds Σ T'S⁻¹(e - Tξ) and Σ (e - Tξ)'S⁻¹(e - Tξ) of each test. `xi`: ξ of each test. Where too much cancels, the
-    /// segments run again from the states that follow from ξ.
-    pub(crate) fn add_at(&self, tests: TestsInLanes<'_>, xi: &[f64], filtered: &FilteredStretch) {
-        let TestsInLanes { data, y, square } = tests;
-        let (many, size, p) = (data.tests, self.prefix.size(), y.len() / data.tests);
-        let mean = |test: usize, segment: usize, out: &mut [f64]| {
-            let (x, Psi) = (filtered.means[test].of(segment, size)[0], self.link(segment).Psi);
-            for i in 0..size {
-                out[i] = x[i] + (0..p).map(|k| Psi[i * p + k] * xi[k * many + test]).sum::<f64>();
+    /// Adds Σ T'S⁻¹(e - Tξ) and Σ (e - Tξ)'S⁻¹(e - Tξ) of each test, and returns x̂ of each test after the stretch. `xi`:
+    /// ξ of each test, or zero. Where too much cancels, the segments run again from the means that the chain has found.
+    pub(crate) fn add_at(&self, tests: TestsInLanes<'_>, xi: Option<&[f64]>, filtered: &FilteredStretch) -> Vec<f64> {
+        with_states!(self.prefix.size(), N => self.add_sized::<N>(tests, xi, filtered))
+    }
+
+    fn add_sized<const N: usize>(
+        &self,
+        TestsInLanes { data, y, square }: TestsInLanes<'_>,
+        xi: Option<&[f64]>,
+        filtered: &FilteredStretch,
+    ) -> Vec<f64> {
+        let (many, Psi) = (data.tests, self.link::<N>(0).Psi);
+        let chain = |run: &SegmentData, test: usize| -> (ChainMeans, ChainSums, Vector<N>) {
+            let mut x = Vector::<N>::from_column_slice(&filtered.before[test * N..][..N]);
+            if let Some(xi) = xi {
+                x += Psi * DVector::from_fn(Psi.ncols(), |k, _| xi[k * many + test]);
             }
+            let (means, sums) = self.chain((run, test), x.as_mut_slice());
+            (means, sums, x)
         };
-        let sums = |run: &SegmentData, test: usize| {
-            let (mut sums, mut own) = (ChainSums::zeros(p), vec![0.0; size]);
-            mean(test, 0, &mut own);
-            self.chain((run, test), &mut own, &mut sums);
-            sums
+        let mut found: Vec<_> = (0..many).map(|test| chain(&filtered.data, test)).collect();
+        let loses_digits = |sums: &ChainSums| sums.cancelled > MOST_CANCELLED * sums.square || sums.square.is_nan();
+        if found.iter().any(|(_, sums, _)| loses_digits(sums)) {
+            let mean = |test: usize, segment: usize, out: &mut [f64]| {
+                let [x, _, b] = found[test].0.of::<N>(segment);
+                out.copy_from_slice((x + self.link::<N>(segment).P * b).as_slice());
+            };
+            let again = self.run(data, mean, false);
+            for (test, own) in found.iter_mut().enumerate().filter(|(_, own)| loses_digits(&own.1)) {
+                *own = chain(&again, test);
+            }
+        }
+        for (test, (_, sums, _)) in found.iter().enumerate() {
+            square[test] += sums.square;
+            sums.y.iter().enumerate().for_each(|(k, own)| y[k * many + test] += own);
+        }
+        found.iter().flat_map(|(.., x)| x.iter().copied()).collect()
+    }
+
+    /// States of each test near those before the stretch, N numbers, from x̂ and the best ξ of the first segment alone.
+    fn near<const N: usize>(&self, data: StretchData<'_>, before: &[f64]) -> Vec<f64> {
+        let start = |test: usize, _: usize, out: &mut [f64]| out.copy_from_slice(&before[test * N..][..N]);
+        let run = self.run_first(data, start);
+        let Link { R, weight, Psi, .. } = self.link::<N>(0);
+        let told = R * Psi;
+        let mut information = told.transpose() * weight * &told;
+        for (k, column) in Psi.column_iter().enumerate() {
+            let of_states: f64 = column.iter().zip(R.column_iter()).map(|(Psi, R)| Psi * Psi * R.norm_squared()).sum();
+            information[(k, k)] += if of_states > 0.0 { LEAST_TOLD * of_states } else { 1.0 };
+        }
+        let Some(information) = information.cholesky() else { return before.to_vec() };
+        let near = |test: usize| {
+            let said = told.transpose() * (weight * root_data(&R, &run.of::<N>(test, 0).y));
+            Vector::<N>::from_column_slice(&before[test * N..][..N]) + Psi * information.solve(&said)
         };
-        let mut again = None;
-        for test in 0..many {
-            let mut own = sums(&filtered.data, test);
-            if own.cancelled > MOST_CANCELLED * own.square || own.square.is_nan() {
-                own = sums(again.get_or_insert_with(|| self.run(data, mean, false)), test);
-            }
-            own.add_to((&mut *y, &mut *square), (test, many));
-        }
-    }
-
-    /// ξ of each test, p numbers, from the first segment alone, so that references are near the states of the test; zero
-    /// where the segment says too little. `start`: writes x̂ of a test before the stretch.
-    fn near_unknowns(&self, data: StretchData<'_>, start: impl Fn(usize, &mut [f64])) -> Vec<f64> {
-        let run = self.run_first(data, |test, _, out| start(test, out));
-        with_states!(self.prefix.size(), N => self.near_sized::<N>(data.tests, &run))
-    }
-
-    fn near_sized<const N: usize>(&self, tests: usize, run: &SegmentData) -> Vec<f64> {
-        let (link, moments) = (self.link(0), self.moments_of(0));
-        let p = link.Psi.len() / N.max(1);
-        let B = square::<N>(link.B);
-        let mut J = vec![0.0; pairs(p)];
-        let of_state = square::<N>(moments.J);
-        add_congruence(&symmetric(&product(&B, &of_state)), link.Psi, p, &mut J);
-        for k in 0..p {
-            // what the rows would tell if the states were otherwise known
-            let all: f64 = (0..N).map(|i| link.Psi[i * p + k].powi(2) * of_state[i][i]).sum();
-            if J[k * (k + 3) / 2] < LEAST_PIVOT * all {
-                (0..p).for_each(|i| J[k.min(i) + k.max(i) * (k.max(i) + 1) / 2] = 0.0);
-            }
-        }
-        let root = information_root(&J, p, LEAST_PIVOT).0;
-        let at = |i: usize, k: usize| root[i + k * (k + 1) / 2];
-        let solved = |x: f64, pivot: f64| if pivot > 0.0 { x / pivot } else { 0.0 };
-        let mut all = Vec::with_capacity(tests * p);
-        for test in 0..tests {
-            let b = times(&B, &run.of::<N>(test, 0).y);
-            let mut xi: Vec<f64> = (0..p).map(|k| (0..N).map(|i| link.Psi[i * p + k] * b[i]).sum()).collect();
-            for k in 0..p {
-                xi[k] = solved((0..k).fold(xi[k], |left, i| left - at(i, k) * xi[i]), at(k, k));
-            }
-            for k in (0..p).rev() {
-                xi[k] = solved((k + 1..p).fold(xi[k], |left, j| left - at(k, j) * xi[j]), at(k, k));
-            }
-            all.extend(xi);
-        }
-        all
-    }
-}
-
-impl ChainSums {
-    fn zeros(p: usize) -> ChainSums {
-        ChainSums { y: vec![0.0; p], square: 0.0, cancelled: 0.0 }
-    }
-
-    /// Adds the sums to those of a test in lanes.
-    fn add_to(&self, (y, square): (&mut [f64], &mut [f64]), (test, tests): (usize, usize)) {
-        square[test] += self.square;
-        self.y.iter().enumerate().for_each(|(k, own)| y[k * tests + test] += own);
+        (0..data.tests).flat_map(|test| near(test).iter().copied().collect::<Vec<f64>>()).collect()
     }
 }

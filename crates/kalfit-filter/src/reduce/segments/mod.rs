@@ -7,27 +7,39 @@
 //!
 //! ```text
 //! steps ── Prefix ──> K, T, S, P, Ψ, J of rows 1..L          once for equal steps
-//! P, Ψ before the stretch ── SegmentedStretch ──> P, B, Ψ before each segment, J of ξ          once for each design
+//! P, Ψ before the stretch ── SegmentedStretch ──> P, Ψ and gains of each segment, J of ξ          once for each design
 //! data ── strands ──> y, e'e/S and the last state of each segment ── chain ──> x̂ of each segment, y of ξ
 //! ```
 
 pub(crate) mod chain;
 mod lanes;
 pub(crate) mod prefix;
+mod root;
 pub(crate) mod rows;
-pub(crate) mod square;
 pub(crate) mod strands;
 pub(crate) mod stretch;
+
+use std::sync::Arc;
+
+use nalgebra::{SMatrix, SVector};
 
 use crate::reduce::design::Design;
 use prefix::Prefix;
 
-pub(crate) use prefix::Prefixes;
-
 pub(crate) use lanes::{FilteredStretch, TestsInLanes};
+pub(crate) use prefix::Prefixes;
 pub(crate) use stretch::{SegmentFilter, SegmentedStretch};
 
-use std::sync::Arc;
+/// N × N.
+pub(crate) type Square<const N: usize> = SMatrix<f64, N, N>;
+
+/// N numbers.
+pub(crate) type Vector<const N: usize> = SVector<f64, N>;
+
+/// ½(A + A').
+pub(crate) fn symmetric<const N: usize>(a: &Square<N>) -> Square<N> {
+    (a + a.transpose()) * 0.5
+}
 
 /// Largest number of states of a segment, for which kernels of fixed size exist.
 pub(crate) const MAX_STATES: usize = 6;

@@ -10,7 +10,7 @@ use crate::reduce::covariance_filter::CovarianceFilter;
 use crate::reduce::design::{DENSE, Design, StateFrame, Stretch, ZERO};
 use crate::reduce::digest::Digest;
 use crate::reduce::entries::Common;
-use crate::reduce::segments::MAX_STATES;
+use crate::reduce::segments::{MAX_STATES, Square};
 
 /// Magnitude of Ψ below which an entry is set to zero: smaller numbers underflow in products, and underflowing numbers
 /// are slow.
@@ -37,15 +37,15 @@ pub(crate) struct Prefix {
     log_determinants: Vec<f64>,
 }
 
-/// Moments after the first rows of a segment, N × N, row-major.
+/// Moments after the first rows of a segment.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct PrefixMoments<'a> {
+pub(crate) struct PrefixMoments<const N: usize> {
     /// Covariance of the state.
-    pub(crate) P: &'a [f64],
+    pub(crate) P: Square<N>,
     /// Sensitivity of the filtered state to the state before the rows.
-    pub(crate) Psi: &'a [f64],
+    pub(crate) Psi: Square<N>,
     /// Information of the rows about the state before them.
-    pub(crate) J: &'a [f64],
+    pub(crate) J: Square<N>,
 }
 
 impl Prefix {
@@ -90,11 +90,22 @@ impl Prefix {
     }
 
     /// Moments after the first `rows` rows.
-    pub(crate) fn after(&self, rows: usize) -> PrefixMoments<'_> {
+    pub(crate) fn after<const N: usize>(&self, rows: usize) -> PrefixMoments<N> {
+        let size = N * N;
+        let square = |k: usize| Square::from_row_slice(&self.moments[(3 * rows + k) * size..][..size]);
+        PrefixMoments { P: square(0), Psi: square(1), J: square(2) }
+    }
+
+    /// P after the first `rows` rows, N × N, by rows.
+    pub(crate) fn variance(&self, rows: usize) -> &[f64] {
         let size = self.size() * self.size();
-        let (P, rest) = self.moments[3 * rows * size..][..3 * size].split_at(size);
-        let (Psi, J) = rest.split_at(size);
-        PrefixMoments { P, Psi, J }
+        &self.moments[3 * rows * size..][..size]
+    }
+
+    /// Ψ after the first `rows` rows, N × N, by rows.
+    pub(crate) fn sensitivity(&self, rows: usize) -> &[f64] {
+        let size = self.size() * self.size();
+        &self.moments[(3 * rows + 1) * size..][..size]
     }
 
     /// Σ log S over the first `rows` rows.

@@ -38,11 +38,11 @@ impl SegmentedStretch {
     fn steady_segment(&self) -> Option<usize> {
         let N = self.prefix.size();
         let is_steady = |&segment: &usize| {
-            let (now, next) = (self.link(segment), self.link(segment + 1));
-            let size = |i: usize, j: usize| (now.P[i * N + i] * now.P[j * N + j]).sqrt();
+            let ((P, Psi), (next_P, next_Psi)) = (self.before(segment), self.before(segment + 1));
+            let size = |i: usize, j: usize| (P[i * N + i] * P[j * N + j]).sqrt();
             let same = |a: f64, b: f64, size: f64| (a - b).abs() <= NO_CHANGE * size;
-            (0..N * N).all(|ij| same(now.P[ij], next.P[ij], size(ij / N, ij % N)))
-                && now.Psi.iter().zip(next.Psi).all(|(a, b)| same(*a, *b, a.abs().max(b.abs())))
+            (0..N * N).all(|ij| same(P[ij], next_P[ij], size(ij / N, ij % N)))
+                && Psi.iter().zip(next_Psi).all(|(a, b)| same(*a, *b, a.abs().max(b.abs())))
         };
         (0..self.segments().saturating_sub(2)).find(is_steady)
     }
@@ -69,13 +69,13 @@ impl Kernel for RowPass<'_> {
         };
         let mut before = vec![0.0; r * r * T::COUNT];
         for (ij, lanes) in before.chunks_exact_mut(T::COUNT).enumerate() {
-            in_lanes(&|segment| of.link(segment).P[ij / r * N + ij % r], lanes);
+            in_lanes(&|segment| of.before(segment).0[ij / r * N + ij % r], lanes);
         }
         let mut filter = CovarianceFilter::<T>::new(frame, SideBySide(&before));
         let mut lanes = [0.0; MAX_LANES];
         for (i, &state) in of.prefix.states.iter().enumerate() {
             for k in 0..p {
-                in_lanes(&|segment| of.link(segment).Psi[i * p + k], &mut lanes);
+                in_lanes(&|segment| of.before(segment).1[k * N + i], &mut lanes);
                 filter.Psi[state * p + k] = T::load(&lanes);
             }
         }
@@ -89,23 +89,15 @@ impl Kernel for RowPass<'_> {
                 filter.predict(frame, transition.common());
             }
             let update = filter.measure(frame, (terms, Common(h), noise));
-            let numbers = std::iter::once(&update.weight).chain(&filter.K).enumerate();
-            for (k, number) in numbers {
+            let mut store = |k: usize, number: &T, list: fn(&mut RowGains) -> &mut [f64], width: usize| {
                 number.store(&mut lanes);
-                for (out, &number) in out.iter_mut().zip(&lanes) {
-                    if row < out.rows {
-                        out.gains[row * (1 + r) + k] = number;
-                    }
+                for (out, &number) in out.iter_mut().zip(&lanes).filter(|(out, _)| row < out.rows) {
+                    list(out)[row * width + k] = number;
                 }
-            }
-            for (k, number) in filter.T.iter().enumerate() {
-                number.store(&mut lanes);
-                for (out, &number) in out.iter_mut().zip(&lanes) {
-                    if row < out.rows {
-                        out.sensitivities[row * p + k] = number;
-                    }
-                }
-            }
+            };
+            let gains = std::iter::once(&update.weight).chain(&filter.K).enumerate();
+            gains.for_each(|(k, number)| store(k, number, |out| &mut out.gains, 1 + r));
+            filter.T.iter().enumerate().for_each(|(k, number)| store(k, number, |out| &mut out.sensitivities, p));
         }
         let (mut sums, mut total) = (Vec::new(), InformationSums::new(p));
         filter.sums.lanes(&mut sums);

@@ -18,8 +18,7 @@ use rayon::prelude::*;
 
 use crate::reduce::scan::with_states;
 use crate::reduce::segments::prefix::Prefix;
-use crate::reduce::segments::square::{Square, square, transposed_times, vector};
-use crate::reduce::segments::{MAX_STATES, SegmentedStretch};
+use crate::reduce::segments::{MAX_STATES, SegmentedStretch, Vector};
 
 /// Number of registers of lanes that run together, so that one computes while the other waits.
 pub(crate) const GROUPS: usize = 2;
@@ -33,6 +32,24 @@ const MAX_SEGMENTS: usize = 16;
 const STRANDS: usize = 16;
 /// Number of rows above which strands run on several threads.
 pub(crate) const MAX_SERIAL_ROWS: usize = 1 << 15;
+
+/// Evaluates `$work` with the number of states of a prefix as the constant `$N`, and with whether φ and Q are diagonal as
+/// the constant `$DIAGONAL`.
+macro_rules! with_steps {
+    ($prefix:expr, $N:ident, $DIAGONAL:ident => $work:expr) => {
+        match $prefix.diagonal {
+            true => with_states!($prefix.size(), $N => {
+                const $DIAGONAL: bool = true;
+                $work
+            }),
+            false => with_states!($prefix.size(), $N => {
+                const $DIAGONAL: bool = false;
+                $work
+            }),
+        }
+    };
+}
+pub(crate) use with_steps;
 
 /// z - d of the rows of a stretch of several tests: that of row k of test t is at k × tests + t.
 #[derive(Debug, Clone, Copy)]
@@ -61,7 +78,7 @@ pub(crate) struct Pack {
     pub(crate) marks: Vec<f64>,
 }
 
-/// What the rows of each segment of each test say about the state before the segment.
+/// Log-likelihood of the rows of each segment of each test, as a quadratic function of the state before the segment.
 #[derive(Debug)]
 pub(crate) struct SegmentData {
     segments: usize,
@@ -73,9 +90,9 @@ pub(crate) struct SegmentData {
 /// (reference, y, last x̂, q) of one segment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct OneSegment<const N: usize> {
-    pub(crate) reference: [f64; N],
-    pub(crate) y: [f64; N],
-    pub(crate) last: [f64; N],
+    pub(crate) reference: Vector<N>,
+    pub(crate) y: Vector<N>,
+    pub(crate) last: Vector<N>,
     pub(crate) q: f64,
 }
 
@@ -84,7 +101,8 @@ impl SegmentData {
     #[inline]
     pub(crate) fn of<const N: usize>(&self, test: usize, segment: usize) -> OneSegment<N> {
         let at = &self.numbers[(test * self.segments + segment) * (3 * N + 1)..][..3 * N + 1];
-        OneSegment { reference: vector(at), y: vector(&at[N..]), last: vector(&at[2 * N..]), q: at[3 * N] }
+        let vector = |k: usize| Vector::from_column_slice(&at[k * N..(k + 1) * N]);
+        OneSegment { reference: vector(0), y: vector(1), last: vector(2), q: at[3 * N] }
     }
 }
 
@@ -212,11 +230,7 @@ impl Kernel for ValuePass<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<f64> {
-        let size = self.stretch.prefix.size();
-        match self.stretch.prefix.diagonal {
-            true => with_states!(size, N => T::apart(SizedPass::<T, N, true> { pass: self, lanes: PhantomData })),
-            false => with_states!(size, N => T::apart(SizedPass::<T, N, false> { pass: self, lanes: PhantomData })),
-        }
+        with_steps!(self.stretch.prefix, N, DIAGONAL => T::apart(SizedPass::<T, N, DIAGONAL> { pass: self, lanes: PhantomData }))
     }
 }
 
@@ -320,15 +334,17 @@ fn store_segment<T: Lanes, const N: usize>(
 ///
 /// `DIAGONAL`: φ and Q are diagonal.
 pub(crate) struct StepMatrices<const N: usize, const DIAGONAL: bool> {
-    pub(crate) phi: Square<N>,
+    pub(crate) phi: [[f64; N]; N],
     pub(crate) h: [f64; N],
-    pub(crate) g: [f64; N],
+    g: [f64; N],
 }
 
 impl<const N: usize, const DIAGONAL: bool> StepMatrices<N, DIAGONAL> {
     pub(crate) fn of(prefix: &Prefix) -> StepMatrices<N, DIAGONAL> {
-        let (phi, h) = (square::<N>(&prefix.phi), vector::<N>(&prefix.h));
-        StepMatrices { phi, h, g: transposed_times(&phi, &h) }
+        let phi: [[f64; N]; N] = std::array::from_fn(|i| std::array::from_fn(|j| prefix.phi[i * N + j]));
+        let h: [f64; N] = std::array::from_fn(|i| prefix.h[i]);
+        let g = std::array::from_fn(|j| (0..N).map(|i| h[i] * phi[i][j]).sum());
+        StepMatrices { phi, h, g }
     }
 
     /// e of a value z after a step from x.

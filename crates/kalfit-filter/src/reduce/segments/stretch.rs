@@ -1,33 +1,29 @@
 //! A stretch of equal steps cut into segments: the covariances from segment to segment.
-#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, J, B")]
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, J, R, S, G, F")]
 
 use std::ops::Range;
 use std::sync::Arc;
 
+use nalgebra::{Const, Dyn, MatrixView, OMatrix};
+
+use crate::reduce::kernel::MIN_REMAINING;
 use crate::reduce::scan::with_states;
 use crate::reduce::segments::prefix::{Prefix, PrefixMoments};
-use crate::reduce::segments::square::{
-    Square, congruence, identity, inverse, product, root, square, sum, symmetric, transposed,
-};
-
-/// Largest difference of entries (i, j) and (j, i) of P(I + JP)⁻¹, relative to the standard deviations, with which
-/// plain arithmetic is accurate enough.
-const MOST_ASYMMETRY: f64 = 1e-9;
-
-/// Largest Σ |J_ij P_ij| before a segment: how many times more the segment tells about the state than was known. The
-/// plain information form loses as many digits as this number has, twice as many where two states are seen as a sum:
-/// at 1e5 the log-likelihood keeps ten.
-const MOST_NEWS: f64 = 1e5;
+use crate::reduce::segments::root::root;
+use crate::reduce::segments::{Square, symmetric};
 
 /// A stretch of equal steps cut into segments.
 ///
-/// The state x at the start of a segment has the mean x̄ + Ψξ and the covariance P. The rows of the segment give
-/// information J about x, and the filter moves on from the state that they leave:
+/// The state x at the start of a segment has the mean x̄ + Ψξ and the covariance P. The rows of the segment are one
+/// measurement of it, w = Rx + v with v ~ N(0, I) and R'R = J, after which the filter moves on by the transition Ψ_l and
+/// the noise P_l that the prefix has after l rows:
 ///
 /// ```text
-/// B = (I + JP)⁻¹        P⁺ = PB        Ψ⁺ = B'Ψ        information about ξ: Ψ'BJΨ        log|S| + log|I + JP|
-/// next segment: P = Ψ_l P⁺ Ψ_l' + P_l        Ψ = Ψ_l Ψ⁺        with (P_l, Ψ_l, J) of the prefix of l rows
+/// S = I + RPR'        G = PR'S⁻¹        F = I - GR        information about ξ: (RΨ)'S⁻¹RΨ        log|S| + Σ log S of the rows
+/// P⁺ = FPF' + GG'        Ψ⁺ = Ψ - G(RΨ)        next segment: P = Ψ_l P⁺ Ψ_l' + P_l        Ψ = Ψ_l Ψ⁺
 /// ```
+///
+/// Nothing cancels, however much more the rows tell than was known: S ≥ I, and P⁺ is a sum of squares.
 #[derive(Debug, Clone)]
 pub(crate) struct SegmentedStretch {
     /// Rows of the stretch among the rows of the test.
@@ -35,18 +31,21 @@ pub(crate) struct SegmentedStretch {
     pub(crate) prefix: Arc<Prefix>,
     /// p, number of unknowns ξ.
     p: usize,
-    /// (P, B, Ψ) before each segment: N × N, N × N, N × p.
+    /// (P, R, S⁻¹, G, Ψ) of each segment: four N × N and an N × p matrix, by columns.
     links: Vec<f64>,
-    /// (P, Ψ) after the last segment: r × r, n × p.
+    /// (P, Ψ) after the last segment: r × r, n × p, by rows.
     end: (Vec<f64>, Vec<f64>),
 }
 
-/// (P, B, Ψ) before a segment.
+/// The measurement that the rows of a segment are, and P and Ψ before it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Link<'a> {
-    pub(crate) P: &'a [f64],
-    pub(crate) B: &'a [f64],
-    pub(crate) Psi: &'a [f64],
+pub(crate) struct Link<'a, const N: usize> {
+    pub(crate) P: Square<N>,
+    pub(crate) R: Square<N>,
+    /// S⁻¹.
+    pub(crate) weight: Square<N>,
+    pub(crate) G: Square<N>,
+    pub(crate) Psi: MatrixView<'a, f64, Const<N>, Dyn>,
 }
 
 /// P (r × r, row-major) and Ψ (n × p) of the filter, and what the segments add to the sums over rows.
@@ -61,7 +60,7 @@ pub(crate) struct SegmentFilter<'a> {
 
 impl SegmentedStretch {
     /// The stretch with these rows, from the state of the filter before it; moves the filter to the end of the stretch.
-    /// `None` where plain arithmetic would lose too many digits.
+    /// `None` where the sums over the rows of a segment have lost too many digits.
     pub(crate) fn new(
         rows: Range<usize>,
         prefix: Arc<Prefix>,
@@ -84,20 +83,27 @@ impl SegmentedStretch {
     }
 
     /// Moments of the rows of a segment.
-    pub(crate) fn moments_of(&self, segment: usize) -> PrefixMoments<'_> {
+    pub(crate) fn moments_of<const N: usize>(&self, segment: usize) -> PrefixMoments<N> {
         self.prefix.after(self.rows_of(segment))
     }
 
-    /// (P, B, Ψ) before a segment.
-    pub(crate) fn link(&self, segment: usize) -> Link<'_> {
-        let N = self.prefix.size();
-        let stride = 2 * N * N + N * self.p;
-        let (P, rest) = self.links[segment * stride..][..stride].split_at(N * N);
-        let (B, Psi) = rest.split_at(N * N);
-        Link { P, B, Psi }
+    /// The link of a segment.
+    pub(crate) fn link<const N: usize>(&self, segment: usize) -> Link<'_, N> {
+        let (size, stride) = (N * N, N * (4 * N + self.p));
+        let own = &self.links[segment * stride..][..stride];
+        let square = |k: usize| Square::<N>::from_column_slice(&own[k * size..(k + 1) * size]);
+        let Psi = MatrixView::from_slice_generic(&own[4 * size..], Const::<N>, Dyn(self.p));
+        Link { P: square(0), R: square(1), weight: square(2), G: square(3), Psi }
     }
 
-    /// P (r × r) and Ψ (n × p) after the stretch.
+    /// P (N × N) and Ψ (N × p) before a segment, by columns.
+    pub(crate) fn before(&self, segment: usize) -> (&[f64], &[f64]) {
+        let N = self.prefix.size();
+        let own = &self.links[segment * N * (4 * N + self.p)..][..N * (4 * N + self.p)];
+        (&own[..N * N], &own[4 * N * N..])
+    }
+
+    /// P (r × r) and Ψ (n × p) after the stretch, by rows.
     pub(crate) fn end(&self) -> (&[f64], &[f64]) {
         (&self.end.0, &self.end.1)
     }
@@ -109,86 +115,37 @@ impl SegmentedStretch {
 
     fn filter<const N: usize>(&mut self, r: usize, filter: SegmentFilter<'_>) -> Option<()> {
         let SegmentFilter { P: all, Psi: all_Psi, J: information, log_determinant } = filter;
-        let p = self.p;
-        let mut P: Square<N> = [[0.0; N]; N];
-        for i in 0..r {
-            (0..r).for_each(|j| P[i][j] = all[i.max(j) * r + i.min(j)]);
-        }
-        let mut Psi = Vec::with_capacity(N * p);
-        self.prefix.states.iter().for_each(|&state| Psi.extend_from_slice(&all_Psi[state * p..][..p]));
+        let (p, prefix) = (self.p, self.prefix.clone());
+        let is_noisy = |i: usize, j: usize| i.max(j) < r;
+        let mut P = Square::<N>::from_fn(|i, j| if is_noisy(i, j) { all[i.max(j) * r + i.min(j)] } else { 0.0 });
+        let place = |i: usize, k: usize| prefix.states[i] * p + k;
+        let mut Psi = OMatrix::<f64, Const<N>, Dyn>::from_fn(p, |i, k| all_Psi[place(i, k)]);
         for segment in 0..self.segments() {
             let rows = self.rows_of(segment);
-            let prefix = self.prefix.clone();
-            let moments = prefix.after(rows);
-            let (J, Psi_l, P_l) = (square::<N>(moments.J), square::<N>(moments.Psi), square::<N>(moments.P));
-            let news: f64 = (0..N * N).map(|ij| (J[ij / N][ij % N] * P[ij / N][ij % N]).abs()).sum();
-            if news > MOST_NEWS || news.is_nan() {
-                return None;
-            }
-            let (B, determinant) = inverse(&sum(&identity(), 1.0, &product(&J, &P)))?;
-            if !(determinant > 0.0 && determinant.is_finite()) {
-                return None;
-            }
-            *log_determinant += prefix.log_determinant(rows) + determinant.ln();
-            self.links.extend_from_slice(P.as_flattened());
-            self.links.extend_from_slice(B.as_flattened());
-            self.links.extend_from_slice(&Psi);
-            let filtered = product(&P, &B);
-            if !is_symmetric(&filtered) {
-                return None;
-            }
-            // BJ = R'(I + RPR')⁻¹R, and RΨ first: what two states tell as a sum cancels in RΨ without rounding of J
+            let PrefixMoments { P: P_l, Psi: Psi_l, J } = prefix.after::<N>(rows);
             let R = root(&J)?;
-            let S = inverse(&sum(&identity(), 1.0, &congruence(&R, &P)))?.0;
-            let (told, gain) = (times_columns(&R, &Psi, p), product(&product(&P, &transposed(&R)), &S));
-            add_congruence(&symmetric(&S), &told, p, information);
-            // B'Ψ = Ψ - P BJ Ψ
-            let filtered_Psi: Vec<f64> =
-                Psi.iter().zip(times_columns(&gain, &told, p)).map(|(before, told)| before - told).collect();
-            Psi = times_columns(&Psi_l, &filtered_Psi, p);
-            P = sum(&congruence(&Psi_l, &symmetric(&filtered)), 1.0, &P_l);
+            let S = symmetric(&(R * P * R.transpose() + Square::identity()));
+            // as in a scalar measurement: the terms of S must not cancel
+            let size = |i: usize| (0..N).map(|j| R[(i, j)].powi(2) * P[(j, j)]).sum::<f64>();
+            if (0..N).any(|i| S[(i, i)] < MIN_REMAINING * size(i)) {
+                return None;
+            }
+            let S = S.cholesky()?;
+            let weight = S.inverse();
+            let G = P * R.transpose() * weight;
+            let F = Square::identity() - G * R;
+            let told = R * &Psi;
+            *log_determinant += prefix.log_determinant(rows) + S.ln_determinant();
+            let added = told.transpose() * weight * &told;
+            (0..p).for_each(|k| (0..=k).for_each(|i| information[i + k * (k + 1) / 2] += added[(i, k)]));
+            [P, R, weight, G].iter().for_each(|square| self.links.extend_from_slice(square.as_slice()));
+            self.links.extend_from_slice(Psi.as_slice());
+            Psi = Psi_l * (&Psi - G * told);
+            P = symmetric(&(Psi_l * (F * P * F.transpose() + G * G.transpose()) * Psi_l.transpose() + P_l));
         }
-        for i in 0..r {
-            (0..r).for_each(|j| all[i * r + j] = P[i][j]);
-        }
-        for (k, &state) in self.prefix.states.iter().enumerate() {
-            all_Psi[state * p..][..p].copy_from_slice(&Psi[k * p..][..p]);
-        }
+        (0..r * r).for_each(|ij| all[ij] = P[(ij / r, ij % r)]);
+        (0..N).for_each(|i| (0..p).for_each(|k| all_Psi[place(i, k)] = Psi[(i, k)]));
         self.end = (all.to_vec(), all_Psi.to_vec());
         Some(())
-    }
-}
-
-/// Whether a covariance computed without regard to symmetry is symmetric up to rounding, with variances not below zero.
-fn is_symmetric<const N: usize>(P: &Square<N>) -> bool {
-    (0..N).all(|i| {
-        P[i][i] >= 0.0
-            && (0..i).all(|j| {
-                let difference = P[i][j] - P[j][i];
-                difference * difference <= MOST_ASYMMETRY * MOST_ASYMMETRY * P[i][i] * P[j][j]
-            })
-    })
-}
-
-/// The product of an N × N matrix and an N × p matrix, row-major.
-fn times_columns<const N: usize>(a: &Square<N>, columns: &[f64], p: usize) -> Vec<f64> {
-    let mut out = vec![0.0; N * p];
-    for i in 0..N {
-        for k in 0..N {
-            (0..p).for_each(|j| out[i * p + j] += a[i][k] * columns[k * p + j]);
-        }
-    }
-    out
-}
-
-/// J ← J + Ψ'MΨ, packed by columns; Ψ is N × p.
-pub(super) fn add_congruence<const N: usize>(M: &Square<N>, Psi: &[f64], p: usize, J: &mut [f64]) {
-    let mut at = 0;
-    for k in 0..p {
-        let column: [f64; N] = std::array::from_fn(|i| (0..N).map(|j| M[i][j] * Psi[j * p + k]).sum());
-        for i in 0..=k {
-            J[at] += (0..N).map(|j| Psi[j * p + i] * column[j]).sum::<f64>();
-            at += 1;
-        }
     }
 }

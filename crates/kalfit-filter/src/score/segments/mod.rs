@@ -36,7 +36,7 @@ impl ForwardStretch {
         let run = stretch.run(data, reference, true);
         let means = (0..tests).map(|test| {
             let mut own: Vec<f64> = x.iter().skip(test).step_by(tests).copied().collect();
-            let means = stretch.chain_means((&run, test), &mut own);
+            let means = stretch.chain((&run, test), &mut own).0;
             own.iter().enumerate().for_each(|(i, own)| x[i * tests + test] = *own);
             means
         });

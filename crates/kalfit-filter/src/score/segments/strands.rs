@@ -16,6 +16,7 @@ use crate::reduce::segments::SegmentedStretch;
 use crate::reduce::segments::prefix::Prefix;
 use crate::reduce::segments::strands::{
     Block, GROUPS, MARK_ROWS, MAX_SERIAL_ROWS, MAX_STRANDS, Pack, PackValues, SegmentData, StepMatrices, StretchData,
+    with_steps,
 };
 use crate::reduce::with_states;
 use crate::score::backward::AdjointsWanted;
@@ -98,11 +99,7 @@ impl Kernel for BackwardPass<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<f64> {
-        let size = self.stretch.prefix.size();
-        match self.stretch.prefix.diagonal {
-            true => with_states!(size, N => T::apart(SizedPass::<T, N, true> { pass: self, lanes: PhantomData })),
-            false => with_states!(size, N => T::apart(SizedPass::<T, N, false> { pass: self, lanes: PhantomData })),
-        }
+        with_steps!(self.stretch.prefix, N, DIAGONAL => T::apart(SizedPass::<T, N, DIAGONAL> { pass: self, lanes: PhantomData }))
     }
 }
 
@@ -186,7 +183,7 @@ impl<T: Lanes, const N: usize, const DIAGONAL: bool> Part for SizedPass<'_, T, N
                 let mark = &pack.marks[(segment * blocks + number) * together * N..][..together * N];
                 values.read(segment, from, many, &mut block);
                 let gains = &prefix.gains[from * (2 * N + 1)..(from + many) * (2 * N + 1)];
-                let Psi = prefix.after(from).Psi;
+                let Psi = prefix.sensitivity(from);
                 let mut x = [[zero; N]; GROUPS];
                 for group in 0..GROUPS {
                     for i in 0..N {
@@ -231,7 +228,7 @@ fn rows_back<T: Lanes, const N: usize, const DIAGONAL: bool>(
     let mut own = *sums;
     for k in (0..many).rev() {
         let gains = &prefix.gains[(from + k) * (2 * N + 1)..][..2 * N + 1];
-        let (before, after) = (&prefix.after(from + k).P[..N * N], &prefix.after(from + k + 1).P[..N * N]);
+        let (before, after) = (&prefix.variance(from + k)[..N * N], &prefix.variance(from + k + 1)[..N * N]);
         for group in 0..GROUPS {
             let (r, own, x) = (&mut r[group], &mut own[group], &states.x[k][group]);
             let u = step.smoothing_error(r, gains, states.e[k][group]);

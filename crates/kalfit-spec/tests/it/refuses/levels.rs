@@ -292,3 +292,14 @@ matrix = [["v", 0], [0, 1]]
     at   "-1"
     "#);
 }
+
+#[test]
+fn groups_of_tests_whose_states_are_all_known() {
+    for key in ["levels", "crossed"] {
+        let found =
+            data(&format!("test = \"run\"\n{key} = [\"lot\"]\n[states.a]\ninitial = {{ mean = 0, sigma = 1 }}"));
+        let expected =
+            format!("`{key}` has no effect where no initial state is estimated\nat   \"{key}\"\nhint groups differ");
+        assert!(found.starts_with(&expected), "{found}");
+    }
+}
